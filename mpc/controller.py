@@ -1,0 +1,147 @@
+"""The receding-horizon loop: sample, roll out, cost, update; execute one action; shift."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from mpc.cost import Cost
+from mpc.knots import Interpolation, interpolation_matrix, shift_matrix
+from mpc.rollout import Actor, RolloutEngine, Trajectories
+from napsp.envs.dynamics import get_state
+
+
+class Planner(Protocol):
+    """A search over knots ``(K, U)`` in [-1, 1]; see :class:`planners.mppi.MPPI`."""
+
+    mean: np.ndarray
+    effective_samples: float
+
+    def reset(self) -> None:
+        """Forget the plan."""
+        ...
+
+    def sample(self, rng: np.random.Generator, proposals: np.ndarray | None = None) -> np.ndarray:
+        """Knots to try, ``(N, K, U)``."""
+        ...
+
+    def update(self, knots: np.ndarray, costs: np.ndarray) -> None:
+        """Learn from their costs ``(N,)``."""
+        ...
+
+    def shift(self, shift: np.ndarray) -> None:
+        """Move the plan on by one control step."""
+        ...
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The outcome of one plan call.
+
+    Attributes:
+        action: the action to execute now, ``(A,)``.
+        actions: the whole plan, ``(H, A)``.
+        trajectories: the last batch of rollouts, for pictures.
+        costs: their costs in steps, ``(N,)``.
+        effective_samples: how many samples the planner's update really used.
+        milliseconds: wall time of the call.
+    """
+
+    action: np.ndarray
+    actions: np.ndarray
+    trajectories: Trajectories
+    costs: np.ndarray
+    effective_samples: float
+    milliseconds: float
+
+
+class Controller:
+    """Plans from the true state of an environment.
+
+    Args:
+        engine: exact batched rollouts of the environment's dynamics.
+        planner: the search algorithm over ``n_knots`` knots.
+        cost: the objective.
+        horizon: H, control steps per plan.
+        rng: source of all randomness of planning.
+        n_knots: K; None gives every control step its own knot.
+        interpolation: how knots become controls.
+        n_refinements: sample-update rounds per plan call.
+        proposals_from: a policy whose own rollout joins the samples.
+    """
+
+    def __init__(
+        self,
+        engine: RolloutEngine,
+        planner: Planner,
+        cost: Cost,
+        horizon: int,
+        rng: np.random.Generator,
+        n_knots: int | None = None,
+        interpolation: Interpolation = "linear",
+        n_refinements: int = 1,
+        proposals_from: Actor | None = None,
+    ) -> None:
+        self.engine, self.planner, self.cost = engine, planner, cost
+        self.horizon, self.rng, self.n_refinements = horizon, rng, n_refinements
+        n_knots = n_knots or horizon
+        self._to_actions = interpolation_matrix(n_knots, horizon, interpolation)
+        self._to_knots = np.linalg.pinv(self._to_actions)
+        self._shift = shift_matrix(n_knots, horizon, interpolation)
+        self._proposals_from = proposals_from
+        self._fresh = True
+        self._warned = False
+
+    def reset(self) -> None:
+        """Forget the last episode's plan."""
+        self.planner.reset()
+        self._fresh = True
+
+    def plan(self, env: Any, observation: dict[str, np.ndarray]) -> Plan:
+        """Plan from the current state of ``env`` (unwrapped); its data is only read."""
+        return self.plan_from(get_state(env.model, env.data), observation)
+
+    def plan_from(self, state: np.ndarray, observation: dict[str, np.ndarray]) -> Plan:
+        """Plan from a full simulator state and the observation that belongs to it.
+
+        Raises:
+            ValueError: the desired goal is not finite.
+        """
+        started = time.perf_counter()
+        goal = observation["desired_goal"]
+        if not np.isfinite(goal).all():
+            raise ValueError(f"the desired goal {goal} is not finite; give a finite goal")
+        if not self._fresh:
+            self.planner.shift(self._shift)
+        self._fresh = False
+        proposals = self._policy_proposals(state, observation)
+        n_simulated = self.cost.simulated_steps(self.horizon)
+        for _ in range(self.n_refinements):
+            knots = self.planner.sample(self.rng, proposals)
+            actions = self._actions(knots)
+            trajectories = self.engine.rollout(state, actions[:, :n_simulated])
+            costs = self.cost(observation, trajectories, actions, goal)
+            self.planner.update(knots, costs)
+        self._warn_if_lost(costs)
+        plan = self._actions(self.planner.mean)
+        milliseconds = 1e3 * (time.perf_counter() - started)
+        return Plan(plan[0], plan, trajectories, costs, self.planner.effective_samples, milliseconds)
+
+    def _actions(self, knots: np.ndarray) -> np.ndarray:
+        # float32 like the environments' action spaces: the plan is what will be executed.
+        return np.clip(self._to_actions @ knots, -1.0, 1.0).astype(np.float32)
+
+    def _policy_proposals(self, state: np.ndarray, observation: dict[str, np.ndarray]) -> np.ndarray | None:
+        if self._proposals_from is None:
+            return None
+        actions = self.engine.follow(state, observation, self._proposals_from, self.horizon)
+        return (self._to_knots @ actions)[None]
+
+    def _warn_if_lost(self, costs: np.ndarray) -> None:
+        if not np.isfinite(costs).any() and not self._warned:
+            self._warned = True
+            warnings.warn("every sampled plan diverged; keeping the previous plan", RuntimeWarning, stacklevel=3)

@@ -1,0 +1,162 @@
+"""What a plan costs, in steps: steps spent outside the goal plus an estimate of steps to go.
+
+    J(a_0 .. a_{H-1}) = sum_t 1[goal not reached at s_t] + to_go
+
+The estimate of the steps to go is what the experiments compare: the learned distance,
+Euclidean distance, or nothing at all (sparse).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+import torch
+
+from mpc.rollout import Trajectories
+from napsp.checkpoint import Model
+
+Where = Literal["terminal", "mean", "both"]
+ActionOf = Literal["policy", "plan"]
+
+
+class StepsToGo(Protocol):
+    """Estimates the steps from a state to the goal."""
+
+    def __call__(
+        self, observations: np.ndarray, achieved_goals: np.ndarray, actions: np.ndarray | None, goal: np.ndarray
+    ) -> np.ndarray:
+        """Steps ``(B,)`` from rows ``(B, O)``, ``(B, G)``, ``(B, A)`` to one goal ``(G,)``."""
+        ...
+
+
+class Reached(Protocol):
+    """The environment's own success test."""
+
+    def __call__(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
+        """Bool ``(...)`` for goals ``(..., G)``."""
+        ...
+
+
+class LearnedSteps:
+    """d(s, a, g) of a trained model; without actions it asks the policy, a = pi(s, g)."""
+
+    def __init__(self, model: Model) -> None:
+        if model.distance is None:
+            raise ValueError("the model holds no distance (it was trained with --method sparse)")
+        self._distance, self._policy = model.distance, model.policy
+
+    def __call__(
+        self, observations: np.ndarray, achieved_goals: np.ndarray, actions: np.ndarray | None, goal: np.ndarray
+    ) -> np.ndarray:
+        """Steps ``(B,)``, within [0, T]."""
+        with torch.inference_mode():
+            states = torch.from_numpy(np.ascontiguousarray(observations, np.float32))
+            goals = torch.from_numpy(goal.astype(np.float32)).expand(len(states), -1)
+            chosen = self._policy.mode(states, goals) if actions is None else torch.from_numpy(_float32(actions))
+            return self._distance.steps(states, chosen, goals).numpy().astype(np.float64)
+
+
+class EuclideanSteps:
+    """Straight-line distance at full speed; blind to walls."""
+
+    def __init__(self, step_length: float) -> None:
+        self._step_length = step_length
+
+    def __call__(
+        self, observations: np.ndarray, achieved_goals: np.ndarray, actions: np.ndarray | None, goal: np.ndarray
+    ) -> np.ndarray:
+        """Steps ``(B,)``: metres to the goal over metres per control step."""
+        return np.linalg.norm(achieved_goals - goal, axis=-1) / self._step_length
+
+
+class NoSteps:
+    """Zero: only reaching the goal within the horizon counts (sparse)."""
+
+    def __call__(
+        self, observations: np.ndarray, achieved_goals: np.ndarray, actions: np.ndarray | None, goal: np.ndarray
+    ) -> np.ndarray:
+        """Zeros ``(B,)``."""
+        return np.zeros(len(observations))
+
+
+@dataclass(frozen=True)
+class Cost:
+    """J of a batch of plans.
+
+    Attributes:
+        to_go: the estimate of steps to go.
+        reached: the environment's success test.
+        where: ``terminal`` reads the estimate at the end of the plan, ``mean`` averages it
+            over the states of the plan, ``both`` adds the two.
+        action_of: what goes in for a in d(s, a, g). ``policy``: a = pi(s, g), after all H
+            actions are simulated. ``plan``: the plan's own action; the last one is then not
+            simulated, and a horizon of 1 is argmin_a d(s, a, g) without any simulation.
+    """
+
+    to_go: StepsToGo
+    reached: Reached
+    where: Where = "mean"
+    action_of: ActionOf = "policy"
+
+    def simulated_steps(self, horizon: int) -> int:
+        """How many actions of a plan have to be simulated."""
+        return horizon if self.action_of == "policy" else horizon - 1
+
+    def __call__(
+        self, start: dict[str, np.ndarray], trajectories: Trajectories, actions: np.ndarray, goal: np.ndarray
+    ) -> np.ndarray:
+        """Costs ``(N,)`` in steps; +inf where the simulation diverged or d is not a number.
+
+        Args:
+            start: the environment's observation dictionary before the plan.
+            trajectories: states s_1 .. s_n, n = :meth:`simulated_steps`.
+            actions: ``(N, H, A)``.
+            goal: ``(G,)``.
+        """
+        with np.errstate(invalid="ignore", over="ignore"):
+            outside = ~self.reached(
+                trajectories.achieved_goals, np.broadcast_to(goal, trajectories.achieved_goals.shape)
+            )
+            spent = outside.sum(1).astype(np.float64)
+            costs = spent + self._steps_to_go(start, trajectories, actions, goal, outside)
+        return np.where(trajectories.diverged | ~np.isfinite(costs), np.inf, costs)
+
+    def _steps_to_go(
+        self,
+        start: dict[str, np.ndarray],
+        trajectories: Trajectories,
+        actions: np.ndarray,
+        goal: np.ndarray,
+        outside: np.ndarray,
+    ) -> np.ndarray:
+        observations, achieved = trajectories.observations, trajectories.achieved_goals
+        n_samples = len(actions)
+        if self.action_of == "plan":  # states s_0 .. s_{H-1} with their own actions
+            observations = _prepend(start["observation"], observations)
+            achieved = _prepend(start["achieved_goal"], achieved)
+            here = not self.reached(start["achieved_goal"], goal)
+            outside = np.concatenate([np.full((n_samples, 1), here), outside], axis=1)
+        last = slice(-1, None) if self.where == "terminal" else slice(None)
+        states, goals = observations[:, last], achieved[:, last]
+        chosen = actions[:, last].reshape(-1, actions.shape[-1]) if self.action_of == "plan" else None
+        steps = self.to_go(_rows(states), _rows(goals), chosen, goal).reshape(n_samples, -1)
+        along = np.where(outside[:, last], steps, 0.0)
+        # Once the plan has been at the goal there is nothing left to go at its end.
+        at_end = np.where(outside.all(1), steps[:, -1], 0.0)
+        if self.where == "terminal":
+            return at_end
+        return along.mean(1) + (at_end if self.where == "both" else 0.0)
+
+
+def _prepend(first: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.broadcast_to(first, (len(rest), 1, len(first))), rest], axis=1)
+
+
+def _rows(batch: np.ndarray) -> np.ndarray:
+    return batch.reshape(-1, batch.shape[-1])
+
+
+def _float32(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array, np.float32)

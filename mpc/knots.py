@@ -1,0 +1,42 @@
+"""Plans as a few knots: linear maps from knots to controls and from a plan to the shifted plan."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline, interp1d
+
+Interpolation = Literal["zero", "linear", "cubic"]
+
+
+def interpolation_matrix(n_knots: int, horizon: int, kind: Interpolation, shift: float = 0.0) -> np.ndarray:
+    """Matrix ``(H, K)`` that turns K knots, spread over the horizon, into H controls.
+
+    With ``n_knots == horizon`` and no shift it is the identity: one knot per control step.
+    ``shift`` (control steps) reads the plan later; past its end the last knot is held.
+    """
+    return _evaluate(n_knots, horizon, kind, np.arange(horizon) + shift)
+
+
+def shift_matrix(n_knots: int, horizon: int, kind: Interpolation) -> np.ndarray:
+    """Matrix ``(K, K)`` that moves a plan on by one control step (the warm start)."""
+    return _evaluate(n_knots, horizon, kind, _knot_times(n_knots, horizon) + 1.0)
+
+
+def _knot_times(n_knots: int, horizon: int) -> np.ndarray:
+    return np.linspace(0.0, horizon - 1.0, n_knots) if n_knots > 1 else np.zeros(1)
+
+
+def _evaluate(n_knots: int, horizon: int, kind: Interpolation, times: np.ndarray) -> np.ndarray:
+    """Rows of interpolation weights for the given times; each row sums to one."""
+    if not 1 <= n_knots <= horizon:
+        raise ValueError(f"n_knots is {n_knots}; it must lie between 1 and the horizon {horizon}")
+    if n_knots == 1:
+        return np.ones((len(times), 1))
+    knot_times, identity = _knot_times(n_knots, horizon), np.eye(n_knots)
+    times = np.clip(times, 0.0, knot_times[-1])
+    if kind == "cubic" and n_knots > 2:
+        return CubicSpline(knot_times, identity)(times)
+    step = "previous" if kind == "zero" else "linear"
+    return interp1d(knot_times, identity, kind=step, axis=0)(times)

@@ -1,0 +1,157 @@
+"""Episodes, the replay buffer D, and everything that is sampled from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """A batch of E episodes of T steps, float32.
+
+    Attributes:
+        observations: s_0 .. s_T, ``(E, T + 1, O)``.
+        achieved_goals: phi(s_0) .. phi(s_T), ``(E, T + 1, G)``.
+        actions: a_0 .. a_{T-1}, ``(E, T, A)``.
+        desired_goals: the goal the episode was collected for, ``(E, G)``.
+    """
+
+    observations: np.ndarray
+    achieved_goals: np.ndarray
+    actions: np.ndarray
+    desired_goals: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+FIELDS = ("observations", "achieved_goals", "actions", "desired_goals")
+
+
+def concatenate(parts: list[Episodes]) -> Episodes:
+    """Join batches of episodes."""
+    return Episodes(*(np.concatenate([getattr(part, name) for part in parts]) for name in FIELDS))
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """(s_i, a_i, phi(s_j)) of one episode with j > i; B rows (Algorithm 1, lines 6-7)."""
+
+    observations: np.ndarray
+    actions: np.ndarray
+    goals: np.ndarray
+    steps_between: np.ndarray
+
+
+@dataclass(frozen=True)
+class Triples:
+    """(s_i, a_i) and s_g from D_last, waypoint (s_j, a_j) from D (Algorithm 1, lines 11-12)."""
+
+    observations: np.ndarray
+    actions: np.ndarray
+    goals: np.ndarray
+    waypoints: np.ndarray
+    waypoint_actions: np.ndarray
+    waypoint_goals: np.ndarray
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Goal-relabelled transitions for the policy update; ``rewards`` are the sparse ones."""
+
+    observations: np.ndarray
+    actions: np.ndarray
+    next_observations: np.ndarray
+    goals: np.ndarray
+    rewards: np.ndarray
+
+
+class EpisodeBuffer:
+    """D: all episodes so far, in arrays that grow by doubling."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, np.ndarray] = {}
+        self._size = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    def extend(self, episodes: Episodes) -> None:
+        """D <- D + D_last (Algorithm 1, line 22)."""
+        end = self._size + len(episodes)
+        for name in FIELDS:
+            new = getattr(episodes, name)
+            stored = self._arrays.get(name)
+            if stored is None or end > len(stored):
+                grown = np.empty((max(end, 2 * self._size, 64), *new.shape[1:]), np.float32)
+                if stored is not None:
+                    grown[: self._size] = stored[: self._size]
+                self._arrays[name] = stored = grown
+            stored[self._size : end] = new
+        self._size = end
+
+    def episodes(self, last: int | None = None) -> Episodes:
+        """All stored episodes, or the ``last`` most recent ones (views, not copies)."""
+        start = 0 if last is None else max(0, self._size - last)
+        return Episodes(**{name: self._arrays[name][start : self._size] for name in FIELDS})
+
+
+def sample_pairs(episodes: Episodes, n: int, rng: np.random.Generator) -> Pairs:
+    """Draw n pairs i < j, uniform over episodes and over the pairs of an episode."""
+    horizon = episodes.actions.shape[1]
+    episode = rng.integers(len(episodes), size=n)
+    first = rng.integers(horizon + 1, size=n)
+    second = rng.integers(horizon, size=n)
+    second += second >= first  # a uniform ordered pair without equal indices
+    i, j = np.minimum(first, second), np.maximum(first, second)
+    return Pairs(
+        observations=episodes.observations[episode, i],
+        actions=episodes.actions[episode, i],
+        goals=episodes.achieved_goals[episode, j],
+        steps_between=(j - i).astype(np.float32),
+    )
+
+
+def sample_triples(recent: Episodes, everything: Episodes, n: int, rng: np.random.Generator) -> Triples:
+    """Draw n triples: s_i and its episode's desired goal from D_last, s_j from D."""
+    horizon = recent.actions.shape[1]
+    episode, i = rng.integers(len(recent), size=n), rng.integers(horizon, size=n)
+    other, j = rng.integers(len(everything), size=n), rng.integers(horizon, size=n)
+    return Triples(
+        observations=recent.observations[episode, i],
+        actions=recent.actions[episode, i],
+        goals=recent.desired_goals[episode],
+        waypoints=everything.observations[other, j],
+        waypoint_actions=everything.actions[other, j],
+        waypoint_goals=everything.achieved_goals[other, j],
+    )
+
+
+def sample_relabelled(
+    episodes: Episodes,
+    n: int,
+    relabel_ratio: float,
+    sparse_reward: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    rng: np.random.Generator,
+) -> Transitions:
+    """Draw n transitions; HER "future" replaces the goal of a share of them.
+
+    A relabelled goal is achieved at a step later than the transition's start, its own next
+    state included. ``sparse_reward(achieved_goals, goals)`` gives 0 / -1 rewards ``(n,)``.
+    """
+    horizon = episodes.actions.shape[1]
+    episode, t = rng.integers(len(episodes), size=n), rng.integers(horizon, size=n)
+    future = rng.integers(t + 1, horizon + 1)
+    goals = episodes.desired_goals[episode].copy()
+    relabel = rng.random(n) < relabel_ratio
+    goals[relabel] = episodes.achieved_goals[episode[relabel], future[relabel]]
+    return Transitions(
+        observations=episodes.observations[episode, t],
+        actions=episodes.actions[episode, t],
+        next_observations=episodes.observations[episode, t + 1],
+        goals=goals,
+        rewards=sparse_reward(episodes.achieved_goals[episode, t + 1], goals),
+    )

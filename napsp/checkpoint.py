@@ -1,0 +1,164 @@
+"""Trained models on disk: safetensors with a JSON header, written atomically, never unpickled."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as serialize
+from torch import Tensor
+
+from napsp.config import TrainConfig, from_dict
+from napsp.envs import canonical_name
+from napsp.errors import UserError
+from napsp.networks import DistanceNetwork, GaussianPolicy
+
+FORMAT = "napsp-1"
+MODEL_FILE = "model.safetensors"
+SHIPPED = Path(__file__).parent / "checkpoints"
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Replace ``path`` with ``content`` in one step: readers see the old file or the new one."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_tensors(path: Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
+    """Write tensors and a JSON header as one safetensors file, atomically."""
+    contiguous = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}
+    write_atomically(path, serialize(contiguous, metadata={"napsp": json.dumps(header)}))
+
+
+def read_tensors(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read a file of :func:`write_tensors` whose header says it is of this ``kind``.
+
+    Raises:
+        UserError: the file is missing, damaged, or not one of ours.
+    """
+    if not path.is_file():
+        raise UserError(f"no checkpoint at {path}; train one with: python -m napsp.train --env NAME")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {}).get("napsp", "null"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
+    except (SafetensorError, ValueError) as error:
+        raise UserError(f"{path} is damaged or not a safetensors file ({error}); copy or train it again") from None
+    if not isinstance(header, dict) or header.get("format") != FORMAT or header.get("kind") != kind:
+        raise UserError(f"{path} is not a napsp {kind} file; train one with: python -m napsp.train --env NAME")
+    return tensors, header
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained distance and policy.
+
+    Attributes:
+        distance: d(s, a, g); None for a checkpoint of the sparse baseline.
+        policy: pi(a | s, g).
+        config: the configuration it was trained with.
+        header: revision, seed, episodes and sizes.
+    """
+
+    distance: DistanceNetwork | None
+    policy: GaussianPolicy
+    config: TrainConfig
+    header: dict[str, Any]
+
+
+def save_model(
+    path: Path,
+    policy: GaussianPolicy,
+    distance: DistanceNetwork | None,
+    config: TrainConfig,
+    sizes: tuple[int, int, int],
+    episodes: int,
+) -> None:
+    """Write what a planner or a robot needs: weights, scaling, configuration."""
+    tensors = {f"policy.{name}": value for name, value in policy.state_dict().items()}
+    if distance is not None:
+        tensors |= {f"distance.{name}": value for name, value in distance.state_dict().items()}
+    header = {
+        "format": FORMAT,
+        "kind": "model",
+        "config": config.to_dict(),
+        "config_hash": config.hash(),
+        "sizes": list(sizes),
+        "episodes": episodes,
+        "revision": git_revision(),
+    }
+    write_tensors(path, tensors, header)
+
+
+def load_model(path: str | Path, env: str) -> Model:
+    """Read a model trained on ``env``; ``path`` is the file or its folder.
+
+    Raises:
+        UserError: damaged or foreign file, or a model of another environment.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / MODEL_FILE
+    tensors, header = read_tensors(path, "model")
+    config = from_dict(header["config"])
+    if config.env != canonical_name(env):
+        raise UserError(f"{path} was trained on {config.env}, not on {env}; give a checkpoint of {env}")
+    sizes = tuple(header["sizes"])
+    policy = GaussianPolicy(sizes, config.hidden)
+    distance = DistanceNetwork(sizes, config.hidden, config.horizon, config.distance_output)
+    has_distance = any(name.startswith("distance.") for name in tensors)
+    _load(policy, "policy.", tensors, path)
+    if has_distance:
+        _load(distance, "distance.", tensors, path)
+    return Model(distance if has_distance else None, policy, config, header)
+
+
+def _load(network: torch.nn.Module, prefix: str, tensors: dict[str, Tensor], path: Path) -> None:
+    weights = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError:
+        raise UserError(f"{path} does not hold the network its header describes; train it again") from None
+    if not all(torch.isfinite(value).all() for value in weights.values()):
+        raise UserError(f"{path} holds weights that are not finite; train it again")
+    network.eval().requires_grad_(False)
+
+
+def shipped_model(env: str) -> Path:
+    """Path of the checkpoint that comes with the package.
+
+    Raises:
+        UserError: none ships for this environment.
+    """
+    path = SHIPPED / canonical_name(env) / MODEL_FILE
+    if not path.is_file():
+        raise UserError(
+            f"no checkpoint ships for {env}; train one with: python -m napsp.train --env {env}, "
+            "then pass it with --checkpoint"
+        )
+    return path
+
+
+def git_revision() -> str:
+    """Revision of the source tree, with "+" if it has changes; "unknown" outside git."""
+    root = Path(__file__).parent
+    try:
+        options = {"cwd": root, "capture_output": True, "text": True, "check": True, "timeout": 10}
+        revision = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], **options).stdout.strip()
+        changed = subprocess.run(["git", "status", "--porcelain", "-uno"], **options).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return revision + ("+" if changed else "")

@@ -1,0 +1,169 @@
+"""Every choice of the method in one frozen dataclass, and the presets per task.
+
+The paper's appendix with hyper-parameters is not public, so each value here is ours;
+``docs/paper.md`` gives the reason and the experiment behind it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from napsp.envs import canonical_name, episode_length
+from napsp.errors import UserError
+
+METHODS = ("sparse", "ddl", "offpolicy_ddl", "ours")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Options of Algorithm 1. Lengths are in control steps, distances in steps."""
+
+    env: str = "fetch_wall"
+    """Task: point_maze, point_maze_long, fetch_reach or fetch_wall."""
+    method: str = "ours"
+    """sparse: binary reward. ddl: on-policy temporal regression. offpolicy_ddl: eq. 4a.
+    ours: eq. 4a and 4b (the paper)."""
+    seed: int = 0
+    """Seed of everything random in the run."""
+
+    # -- amount of work --
+    n_episodes: int = 500
+    """Training episodes in total, warm-up included."""
+    n_warmup_episodes: int = 20
+    """Episodes of random actions that seed the buffer D and fix the input scaling."""
+    episodes_per_iteration: int = 2
+    """Episodes collected per iteration (the size of D_last)."""
+    n_temporal_updates: int = 50
+    """Gradient steps on eq. 4a per iteration."""
+    n_triangular_updates: int = 25
+    """Gradient steps on eq. 4b per iteration."""
+    n_policy_updates: int = 50
+    """Policy updates per iteration."""
+    batch_size: int = 256
+    """Samples per gradient step, for every network."""
+
+    # -- distance network --
+    hidden: tuple[int, ...] = (256, 256)
+    """Widths of the hidden layers of every network."""
+    distance_learning_rate: float = 1e-3
+    """Adam step size of the distance network."""
+    distance_output: Literal["linear", "softplus"] = "linear"
+    """Output layer of d / T."""
+    target_polyak: float = 1.0
+    """Weight of the new parameters in the per-iteration target update; 1 copies (line 9)."""
+
+    # -- uncertainty, eq. 2 --
+    uncertainty_scale: float = 10.0
+    """C of eq. 2, in steps."""
+    uncertainty_power: float = 0.5
+    """M of eq. 2."""
+    visit_bits: int = 16
+    """SimHash bits of N(s, a)."""
+    reached_bits: int = 16
+    """SimHash bits of N(s, a, g)."""
+
+    # -- triangular loss, eq. 4b --
+    triangular_weight: float = 0.1
+    """Weight of eq. 4b against eq. 4a; the paper's plain sum is 1."""
+    cap_triangular: bool = True
+    """Clip the hypotenuse at the episode length T; without it the loss diverges."""
+    require_reached_waypoint: bool = True
+    """Algorithm 1, line 13: N(s_j, a_j, s_g) > 0. False follows the text of eq. 4b."""
+
+    # -- on-policy DDL --
+    ddl_window: int = 20
+    """Most recent episodes that the on-policy regression of ddl sees."""
+
+    # -- policy: HER + SAC --
+    relabel_ratio: float = 0.8
+    """Share of HER future goals, k / (k + 1); 0.8 is k = 4."""
+    discount: float = 0.98
+    """Discount of the policy's return."""
+    policy_learning_rate: float = 1e-3
+    """Adam step size of actor and critics."""
+    polyak: float = 0.01
+    """Weight of the new critic parameters in their target, per update."""
+    entropy_weight: float | None = None
+    """Fixed SAC alpha; None adapts it to a target entropy of minus the action size."""
+    min_entropy_weight: float = 0.02
+    """Floor of the adapted SAC alpha (rewards lie in [-1, 0])."""
+
+    # -- exploration --
+    epsilon: float = 0.1
+    """Chance per step to start a random action."""
+    exploration_hold: int = 6
+    """A random action is held for 1 to this many steps; 1 is plain epsilon exploration."""
+
+    # -- evaluation --
+    evaluate_every: int = 50
+    """Episodes between evaluations; each one also writes a checkpoint."""
+    n_evaluation_episodes: int = 20
+    """Episodes per evaluation, on goals that all methods and seeds share."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "env", canonical_name(self.env))
+        object.__setattr__(self, "hidden", tuple(self.hidden))
+        if self.method not in METHODS:
+            raise UserError(f"unknown method {self.method!r}; choose one of: {', '.join(METHODS)}")
+        for name in ("n_episodes", "episodes_per_iteration", "batch_size", "n_warmup_episodes", "evaluate_every"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        if not 1 <= self.visit_bits <= 62 or not 1 <= self.reached_bits <= 62:
+            raise UserError("visit_bits and reached_bits must lie between 1 and 62")
+        if self.uncertainty_scale <= 0 or self.uncertainty_power <= 0:
+            raise UserError("uncertainty_scale and uncertainty_power must be positive (C, M > 0 in eq. 2)")
+
+    @property
+    def horizon(self) -> int:
+        """T, the episode length in control steps; distances are learned in units of T."""
+        return episode_length(self.env)
+
+    @property
+    def learns_distance(self) -> bool:
+        """Whether the method trains d (all but sparse)."""
+        return self.method != "sparse"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+    def hash(self) -> str:
+        """Short hash of everything but the seed: equal hashes ask the same question."""
+        fields = {k: v for k, v in self.to_dict().items() if k != "seed"}
+        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()[:10]
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "point_maze": {"n_episodes": 1000, "episodes_per_iteration": 4, "evaluate_every": 100},
+    "point_maze_long": {
+        "n_episodes": 1000,
+        "episodes_per_iteration": 4,
+        "evaluate_every": 100,
+        "uncertainty_scale": 20.0,
+        "n_policy_updates": 100,
+    },
+    "fetch_reach": {"n_episodes": 400, "evaluate_every": 20},
+    "fetch_wall": {"n_episodes": 500},
+}
+
+
+def preset(env: str, **overrides: Any) -> TrainConfig:
+    """The default configuration of a task."""
+    env = canonical_name(env)
+    return TrainConfig(**{"env": env, **PRESETS[env], **overrides})
+
+
+def from_dict(values: dict[str, Any]) -> TrainConfig:
+    """Rebuild a configuration from :meth:`TrainConfig.to_dict`.
+
+    Raises:
+        UserError: fields are unknown or of the wrong kind.
+    """
+    try:
+        return TrainConfig(**values)
+    except TypeError as error:
+        raise UserError(f"configuration does not fit this version of napsp ({error}); retrain it") from None

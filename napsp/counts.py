@@ -1,0 +1,97 @@
+"""Count models N(s, a) and N(s, a, g) by locality-sensitive hashing (paper, section 4.2).
+
+SimHash (Tang et al. 2017): the signs of k random projections of the centred and scaled
+input are a k-bit key. Keys are stored exactly, never in a shared table, so "never seen" -
+the N = 0 that switches the triangular loss - has no false negatives from collisions of slots.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from napsp.buffer import Episodes
+from napsp.scaling import Scaling
+
+
+class HashedCounts:
+    """Counts of SimHash keys, kept sorted for exact look-up."""
+
+    def __init__(self, input_size: int, n_bits: int, rng: np.random.Generator) -> None:
+        # One extra constant input makes the cuts affine: without it all inputs on a ray
+        # from the centre share a key.
+        self.projection = rng.standard_normal((input_size + 1, n_bits))
+        self.keys = np.empty(0, np.int64)
+        self.counts = np.empty(0, np.int64)
+
+    def key(self, inputs: np.ndarray) -> np.ndarray:
+        """Keys ``(...)`` of scaled inputs ``(..., input_size)``."""
+        bits = (inputs @ self.projection[:-1] + self.projection[-1]) > 0
+        weights = np.left_shift(np.int64(1), np.arange(bits.shape[-1], dtype=np.int64))
+        return bits @ weights
+
+    def add(self, inputs: np.ndarray) -> None:
+        """Count every row of ``(B, input_size)`` once."""
+        new_keys, new_counts = np.unique(self.key(inputs), return_counts=True)
+        keys, places = np.unique(np.concatenate([self.keys, new_keys]), return_inverse=True)
+        counts = np.zeros(len(keys), np.int64)
+        np.add.at(counts, places, np.concatenate([self.counts, new_counts]))
+        self.keys, self.counts = keys, counts
+
+    def count(self, inputs: np.ndarray) -> np.ndarray:
+        """How often inputs with the same key were added, ``(B,)``; 0 if never."""
+        if not len(self.keys):
+            return np.zeros(len(inputs), np.int64)
+        keys = self.key(inputs)
+        places = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
+        return np.where(self.keys[places] == keys, self.counts[places], 0)
+
+
+class CountModel:
+    """N(s, a) and N(s, a, g), fed with whole episodes; and U of eq. 2.
+
+    ``scaling`` maps raw (observation, goal) to centred, scaled ones and must stay fixed
+    while counts exist: a key that moves loses its history.
+    """
+
+    def __init__(
+        self,
+        sizes: tuple[int, int, int],
+        visit_bits: int,
+        reached_bits: int,
+        scaling: Scaling,
+        rng: np.random.Generator,
+    ) -> None:
+        n_observation, n_action, n_goal = sizes
+        self._scaling = scaling
+        self.visit_table = HashedCounts(n_observation + n_action, visit_bits, rng)
+        self.reached_table = HashedCounts(n_observation + n_action + n_goal, reached_bits, rng)
+
+    def update(self, episodes: Episodes) -> None:
+        """Count every visited (s_i, a_i) and every (s_i, a_i, phi(s_j)) with j > i.
+
+        Algorithm 1, line 4. Each pair i < j of an episode counts once.
+        """
+        n_episodes, horizon = episodes.actions.shape[:2]
+        pairs = self._pairs(episodes.observations[:, :-1], episodes.actions)
+        self.visit_table.add(pairs.reshape(n_episodes * horizon, -1))
+        goals = self._scaling.goal(episodes.achieved_goals)
+        first, later = np.triu_indices(horizon + 1, k=1)
+        reached = np.concatenate([pairs[:, first], goals[:, later]], axis=-1)
+        self.reached_table.add(reached.reshape(n_episodes * len(first), -1))
+
+    def visits(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """N(s, a), ``(B,)``."""
+        return self.visit_table.count(self._pairs(observations, actions))
+
+    def reached(self, observations: np.ndarray, actions: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """N(s, a, g), ``(B,)``: how often g was reached later in an episode through (s, a)."""
+        pairs = self._pairs(observations, actions)
+        return self.reached_table.count(np.concatenate([pairs, self._scaling.goal(goals)], axis=-1))
+
+    def _pairs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        return np.concatenate([self._scaling.observation(observations), actions], axis=-1)
+
+
+def uncertainty(visits: np.ndarray, scale: float, power: float) -> np.ndarray:
+    """U = C / (1 + N(s, a))^M in steps (eq. 2); ``visits`` any shape."""
+    return scale / (1.0 + visits) ** power

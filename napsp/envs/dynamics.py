@@ -1,0 +1,76 @@
+"""The physics of a task, written once: one control step as functions of ``(model, data)``.
+
+An environment calls these functions on its own ``MjData``; the rollout engine in ``mpc``
+calls the very same functions on one ``MjData`` per thread. That is why a planned
+trajectory and the executed one agree bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+class Dynamics(Protocol):
+    """What a task offers to its environment and to the planners.
+
+    Shapes: A action, U control row, F features, O observation, G goal; ``...`` any batch.
+    Everything batched must be element-wise arithmetic (no reductions, no matrix
+    products), because only then is a batch of one bit-identical to a batch of many.
+    """
+
+    model: mujoco.MjModel
+    substeps: int
+    n_features: int
+    open_loop: bool
+    """True when a control row does not depend on the simulated state, so that a whole
+    horizon can be handed to one ``mujoco.rollout`` call (features are then qpos, qvel)."""
+
+    def control(self, actions: np.ndarray) -> np.ndarray:
+        """Map actions ``(..., A)`` in [-1, 1] to control rows ``(..., U)``, float64."""
+        ...
+
+    def step(self, data: mujoco.MjData, control: np.ndarray) -> None:
+        """Apply one control row ``(U,)`` and advance ``substeps`` physics steps."""
+        ...
+
+    def record(self, data: mujoco.MjData, features: np.ndarray) -> None:
+        """Write what observations are made of into ``features`` ``(F,)``."""
+        ...
+
+    def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Turn features ``(..., F)`` into observation ``(..., O)`` and achieved goal ``(..., G)``."""
+        ...
+
+    def restore(self, data: mujoco.MjData, state: np.ndarray) -> None:
+        """Put ``data`` into a state taken by :func:`get_state`."""
+        ...
+
+
+def get_state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return everything the next ``mj_step`` reads: ``mjSTATE_INTEGRATION``, float64 ``(S,)``.
+
+    Besides time, qpos, qvel and act it holds qacc_warmstart, ctrl and the mocap pose;
+    without the warm start a rollout in contact drifts away from the environment.
+    """
+    state = np.empty(mujoco.mj_stateSize(model, INTEGRATION_STATE))
+    mujoco.mj_getState(model, data, state, INTEGRATION_STATE)
+    return state
+
+
+def diverged(data: mujoco.MjData, expected_time: float) -> bool:
+    """Tell whether MuJoCo gave up on the simulation since it was last at a known time.
+
+    MuJoCo answers a blow-up by resetting the state to *finite* values with time zero, so
+    looking for NaN finds nothing; the clock is the only honest witness.
+    """
+    return data.time < expected_time - 0.5 * mujoco_timestep(data)
+
+
+def mujoco_timestep(data: mujoco.MjData) -> float:
+    """Physics time step of the model behind ``data``, in seconds."""
+    return float(data.model.opt.timestep)

@@ -1,0 +1,236 @@
+"""Fetch reaching tasks, with and without a wall (paper, section 6 "3D reaching task").
+
+Built on gymnasium-robotics' v4 Fetch classes: same robot, actions, observation and success
+test. What is ours: the wall, collision filtering of the arm *in the model itself*, and one
+control step as functions of ``(model, data)`` that environment and planner share.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from gymnasium_robotics.envs.fetch.reach import MujocoFetchReachEnv
+
+from napsp.envs.dynamics import INTEGRATION_STATE
+
+ACTION_SCALE = np.float32(0.05)  # metres of mocap displacement per unit action, as in Fetch
+# Fetch adds this quaternion to the gripper's own one; MuJoCo normalises the sum.
+GRIPPER_ROTATION = np.array([1.0, 0.0, 1.0, 0.0])
+GRIPPER_BODIES = ("robot0:gripper_link", "robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
+LOWER_ARM_BODIES = tuple(
+    f"robot0:{link}_link" for link in ("upperarm_roll", "elbow_flex", "forearm_roll", "wrist_flex", "wrist_roll")
+)
+ARM_BIT = 2  # arm links collide with what lists this bit: table and wall, never each other
+
+
+class FetchReachDynamics:
+    """Mocap control of the gripper with blocked fingers.
+
+    A control row is the displacement of the mocap anchor ``(3,)`` in metres. Features are
+    grip site position (3), finger qpos (2), finger qvel (2), the gripper body's spatial
+    velocity ``cvel`` (6) and the point it refers to (3).
+    """
+
+    open_loop = False  # the mocap target is re-anchored to the simulated gripper every step
+    substeps = 20
+    n_features = 16
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self._gripper = model.body("robot0:gripper_link").id
+        self._site = model.site("robot0:grip").id
+        self._root = int(model.body_rootid[self._gripper])
+        joints = [model.joint(f"robot0:{side}_gripper_finger_joint") for side in ("r", "l")]
+        self._right, self._left = (int(j.qposadr[0]) for j in joints)
+        self._right_dof, self._left_dof = (int(j.dofadr[0]) for j in joints)
+        self._dt = self.substeps * model.opt.timestep
+
+    def control(self, actions: np.ndarray) -> np.ndarray:
+        """Displacements ``(..., 3)`` in metres, in the float32 arithmetic Fetch itself uses."""
+        clipped = np.clip(np.asarray(actions, np.float32)[..., :3], -1.0, 1.0)
+        return (clipped * ACTION_SCALE).astype(np.float64)
+
+    def step(self, data: mujoco.MjData, control: np.ndarray) -> None:
+        """Re-anchor the mocap to the gripper, displace it, advance, and close the fingers."""
+        np.add(data.xpos[self._gripper], control, out=data.mocap_pos[0])
+        np.add(data.xquat[self._gripper], GRIPPER_ROTATION, out=data.mocap_quat[0])
+        mujoco.mj_step(self.model, data, nstep=self.substeps)
+        self._close_fingers(data)
+        self._refresh(data)
+
+    def _close_fingers(self, data: mujoco.MjData) -> None:
+        qpos = data.qpos
+        qpos[self._right] = 0.0
+        qpos[self._left] = 0.0
+
+    def _refresh(self, data: mujoco.MjData) -> None:
+        # Stock Fetch calls mj_forward here; these three give the same positions and
+        # velocities to the bit and leave out collisions and the solver.
+        mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_comPos(self.model, data)
+        mujoco.mj_comVel(self.model, data)
+
+    def record(self, data: mujoco.MjData, features: np.ndarray) -> None:
+        """Write the features ``(16,)``; ``data`` must be fresh (after :meth:`step`)."""
+        features[0:3] = data.site_xpos[self._site]
+        qpos, qvel = data.qpos, data.qvel
+        features[3] = qpos[self._right]
+        features[4] = qpos[self._left]
+        features[5] = qvel[self._right_dof]
+        features[6] = qvel[self._left_dof]
+        features[7:13] = data.cvel[self._gripper]
+        features[13:16] = data.subtree_com[self._root]
+
+    def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fetch's observation ``(..., 10)`` and the grip position ``(..., 3)``.
+
+        Order: grip position [m], finger positions [m], grip velocity and finger velocities
+        [m per control step].
+        """
+        position = features[..., 0:3]
+        wx, wy, wz = (features[..., 7 + i] for i in range(3))
+        arm = position - features[..., 13:16]
+        x, y, z = (arm[..., i] for i in range(3))
+        observation = np.empty((*features.shape[:-1], 10))
+        observation[..., 0:3] = position
+        observation[..., 3:5] = features[..., 3:5]
+        # Velocity of the site: linear part of cvel plus angular velocity x lever arm.
+        observation[..., 5] = (features[..., 10] + (wy * z - wz * y)) * self._dt
+        observation[..., 6] = (features[..., 11] + (wz * x - wx * z)) * self._dt
+        observation[..., 7] = (features[..., 12] + (wx * y - wy * x)) * self._dt
+        observation[..., 8:10] = features[..., 5:7] * self._dt
+        return observation, position.copy()
+
+    def restore(self, data: mujoco.MjData, state: np.ndarray) -> None:
+        """Load a full integration state and the gripper pose the next step anchors to."""
+        mujoco.mj_setState(self.model, data, state, INTEGRATION_STATE)
+        self._refresh(data)
+
+
+class FetchReachEnv(MujocoFetchReachEnv):
+    """FetchReach with a thin step and, unless ``arm_self_collision``, a filtered arm.
+
+    Without self-collision the arm's links still collide with table and wall, and gripper
+    and fingers with everything; robot-against-itself and base-against-floor pairs are off,
+    which makes a physics step about twice as fast.
+    """
+
+    step_length = 0.033  # metres per control step along one axis at full speed
+
+    def __init__(self, arm_self_collision: bool = False, **kwargs: Any) -> None:
+        self._arm_self_collision = arm_self_collision
+        self._features = np.zeros(FetchReachDynamics.n_features)
+        super().__init__(**kwargs)
+
+    def _build_model(self) -> mujoco.MjModel:
+        spec = mujoco.MjSpec.from_file(self.fullpath)
+        self._add_obstacles(spec)
+        if not self._arm_self_collision:
+            filter_collisions(spec)
+        return spec.compile()
+
+    def _add_obstacles(self, spec: mujoco.MjSpec) -> None:
+        """Hook for variants."""
+
+    def _initialize_simulation(self) -> None:
+        self.model = self._build_model()
+        self.data = mujoco.MjData(self.model)
+        self._model_names = self._utils.MujocoModelNames(self.model)
+        self.model.vis.global_.offwidth = max(self.width, 640)
+        self.model.vis.global_.offheight = max(self.height, 480)
+        self.dynamics = FetchReachDynamics(self.model)
+        self._env_setup(initial_qpos=self.initial_qpos)
+        self.initial_time = self.data.time
+        self.initial_qpos = np.copy(self.data.qpos)
+        self.initial_qvel = np.copy(self.data.qvel)
+
+    def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
+        """Advance one control step (0.04 s); same result as Fetch's own step, less Python."""
+        if np.shape(action) != self.action_space.shape:
+            raise ValueError(f"action has shape {np.shape(action)}, expected {self.action_space.shape}")
+        self.dynamics.step(self.data, self.dynamics.control(action))
+        if self.render_mode == "human":
+            self.render()
+        observation = self._get_obs()
+        reward = self.compute_reward(observation["achieved_goal"], self.goal, {})
+        success = bool(self.reached(observation["achieved_goal"], self.goal))
+        return observation, float(reward), False, False, {"is_success": success}
+
+    def _get_obs(self) -> dict[str, np.ndarray]:
+        self.dynamics._refresh(self.data)
+        self.dynamics.record(self.data, self._features)
+        observation, achieved_goal = self.dynamics.observe(self._features)
+        return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
+
+    def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
+        """Tell for each pair of goals ``(..., 3)`` whether they are within 5 cm."""
+        offset = np.asarray(achieved_goal) - np.asarray(desired_goal)
+        return np.linalg.norm(offset, axis=-1) < self.distance_threshold
+
+    def goal_positions(self, goals: np.ndarray) -> np.ndarray:
+        """Where goals ``(..., 3)`` lie in the world, for pictures."""
+        return goals
+
+
+class FetchReachWallEnv(FetchReachEnv):
+    """Start on one half of the table, goal on the other half, a wall between (paper, section 6).
+
+    The wall is wider than the table on purpose: around the far end of a table-wide wall the
+    arm finds a way without lifting. Over the top is the only way.
+    """
+
+    WALL_Y, WALL_HALF_THICKNESS, WALL_X = 0.75, 0.02, (0.85, 1.80)
+    TABLE_TOP = 0.40
+    START_GRIP = np.array([1.34, 0.60, 0.45])
+    GOAL_LOW = np.array([1.20, 0.85, 0.42])  # "on the ground": at most 2 cm above the lowest
+    GOAL_HIGH = np.array([1.48, 1.00, 0.44])  # grip height the fingers allow (0.4185)
+
+    def __init__(self, wall_height: float = 0.20, **kwargs: Any) -> None:
+        self.wall_height = wall_height
+        super().__init__(**kwargs)
+
+    def _add_obstacles(self, spec: mujoco.MjSpec) -> None:
+        near, far = self.WALL_X
+        spec.worldbody.add_geom(
+            name="wall",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[(near + far) / 2, self.WALL_Y, self.TABLE_TOP + self.wall_height / 2],
+            size=[(far - near) / 2, self.WALL_HALF_THICKNESS, self.wall_height / 2],
+            solref=[0.01, 1.0],  # twice as stiff as the default: half the penetration
+            rgba=[0.55, 0.27, 0.22, 0.8],
+        )
+
+    def _env_setup(self, initial_qpos: dict) -> None:
+        super()._env_setup(initial_qpos)
+        # Walk the gripper to the start in small increments, then let it settle.
+        grip = self.data.site_xpos[self.model.site("robot0:grip").id]
+        for _ in range(12):
+            step = np.clip(self.START_GRIP - grip, -ACTION_SCALE, ACTION_SCALE)
+            self.dynamics.step(self.data, step)
+        for _ in range(5):
+            self.dynamics.step(self.data, np.zeros(3))
+        self.initial_gripper_xpos = grip.copy()
+
+    def _sample_goal(self) -> np.ndarray:
+        return self.np_random.uniform(self.GOAL_LOW, self.GOAL_HIGH)
+
+
+def filter_collisions(spec: mujoco.MjSpec) -> None:
+    """Switch off robot self-collision; keep the arm solid against table and wall.
+
+    A pair is tested when ``contype & conaffinity`` overlap in either direction. Gripper and
+    fingers keep bit 1 and meet the world; the lower arm has only bit 2, which table and
+    wall list in their affinity; base, torso and head collide with nothing they could reach.
+    """
+    for body in spec.bodies:
+        for geom in body.geoms:
+            if body.name in GRIPPER_BODIES or not (geom.contype or geom.conaffinity):
+                continue
+            if body.name in LOWER_ARM_BODIES:
+                geom.contype, geom.conaffinity = ARM_BIT, 0
+            elif body.name.startswith("robot0:"):
+                geom.contype, geom.conaffinity = 0, 0
+            elif body.name == "table0" or geom.name == "wall":
+                geom.conaffinity = 1 | ARM_BIT

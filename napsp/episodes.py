@@ -1,0 +1,136 @@
+"""Collecting and evaluating episodes: the only code that steps environments for learning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+import torch
+
+from napsp.buffer import Episodes, concatenate
+from napsp.networks import GaussianPolicy
+
+Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Maps observations ``(E, O)`` and goals ``(E, G)`` to actions ``(E, A)`` in [-1, 1]."""
+
+
+def roll(envs: list[gymnasium.Env], actor: Actor, seeds: list[int], horizon: int) -> Episodes:
+    """Run one episode of ``horizon`` steps in each environment, in lockstep."""
+    starts = [env.reset(seed=seed)[0] for env, seed in zip(envs, seeds, strict=True)]
+    n, spaces = len(envs), envs[0].observation_space.spaces  # type: ignore[attr-defined]
+    observations = np.empty((n, horizon + 1, *spaces["observation"].shape), np.float32)
+    achieved = np.empty((n, horizon + 1, *spaces["achieved_goal"].shape), np.float32)
+    goals = np.stack([start["desired_goal"] for start in starts]).astype(np.float32)
+    actions = np.empty((n, horizon, *envs[0].action_space.shape), np.float32)  # type: ignore[misc]
+    current = starts
+    for t in range(horizon + 1):
+        for e, values in enumerate(current):
+            observations[e, t] = values["observation"]
+            achieved[e, t] = values["achieved_goal"]
+        if t == horizon:
+            break
+        actions[:, t] = actor(observations[:, t], goals)
+        current = [env.step(actions[e, t])[0] for e, env in enumerate(envs)]
+    return Episodes(observations, achieved, actions, goals)
+
+
+class ExploringActor:
+    """A policy whose actions are now and then replaced by random ones, held for a while.
+
+    With ``hold=1`` this is epsilon exploration: each step is random with chance ``epsilon``.
+    With longer holds a random action *starts* with that chance. ``policy=None`` acts at
+    random all the time, held in the same way.
+    """
+
+    def __init__(
+        self,
+        policy: GaussianPolicy | None,
+        action_size: int,
+        epsilon: float,
+        hold: int,
+        rng: np.random.Generator,
+        generator: torch.Generator,
+    ) -> None:
+        self._policy, self._action_size = policy, action_size
+        self._epsilon, self._hold = epsilon, hold
+        self._rng, self._generator = rng, generator
+        self._random = np.empty(0)
+        self._steps_left = np.zeros(0, np.int64)
+
+    def __call__(self, observations: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """Actions ``(E, A)``."""
+        n = len(observations)
+        if len(self._steps_left) != n:
+            self._steps_left = np.zeros(n, np.int64)
+            self._random = np.zeros((n, self._action_size), np.float32)
+        chance = 1.0 if self._policy is None else self._epsilon
+        start = (self._steps_left == 0) & (self._rng.random(n) < chance)
+        self._steps_left[start] = self._rng.integers(1, self._hold + 1, start.sum())
+        self._random[start] = self._rng.uniform(-1.0, 1.0, (start.sum(), self._action_size))
+        random = self._steps_left > 0
+        self._steps_left[random] -= 1
+        if self._policy is None:
+            return self._random.copy()
+        with torch.inference_mode():
+            inputs = torch.from_numpy(observations), torch.from_numpy(goals)
+            actions = self._policy.sample(*inputs, self._generator)[0].numpy()
+        return np.where(random[:, None], self._random, actions)
+
+
+def greedy_actor(policy: GaussianPolicy) -> Actor:
+    """The policy's deterministic action."""
+
+    def act(observations: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        with torch.inference_mode():
+            return policy.mode(torch.from_numpy(observations), torch.from_numpy(goals)).numpy()
+
+    return act
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """What E evaluation episodes came to.
+
+    Attributes:
+        reached: whether the goal is reached at s_1 .. s_T, bool ``(E, T)``.
+        gaps: Euclidean gap between achieved and desired goal at s_1 .. s_T, ``(E, T)``.
+    """
+
+    reached: np.ndarray
+    gaps: np.ndarray
+
+    @property
+    def success_rate(self) -> float:
+        """Share of episodes at the goal in the last step."""
+        return float(self.reached[:, -1].mean())
+
+    @property
+    def any_success_rate(self) -> float:
+        """Share of episodes at the goal in some step."""
+        return float(self.reached.any(1).mean())
+
+    @property
+    def first_hits(self) -> np.ndarray:
+        """Steps until the goal is first reached, NaN where it never is, ``(E,)``."""
+        steps = self.reached.argmax(1) + 1.0
+        return np.where(self.reached.any(1), steps, np.nan)
+
+
+def outcomes(env: gymnasium.Env, episodes: Episodes) -> Outcomes:
+    """Judge episodes by the environment's own success test."""
+    goals = np.repeat(episodes.desired_goals[:, None], episodes.actions.shape[1], axis=1)
+    achieved = episodes.achieved_goals[:, 1:]
+    reached = env.unwrapped.reached(achieved, goals)  # type: ignore[attr-defined]
+    return Outcomes(reached, np.linalg.norm(achieved - goals, axis=-1))
+
+
+def evaluate(envs: list[gymnasium.Env], actor: Actor, seeds: list[int], horizon: int) -> tuple[Outcomes, Episodes]:
+    """Run one episode per seed with a deterministic actor."""
+    parts = []
+    for start in range(0, len(seeds), len(envs)):
+        chunk = seeds[start : start + len(envs)]
+        parts.append(roll(envs[: len(chunk)], actor, chunk, horizon))
+    episodes = concatenate(parts)
+    return outcomes(envs[0], episodes), episodes

@@ -1,0 +1,27 @@
+"""Errors a user can fix: commands print them as one line and exit with status 2."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+
+class UserError(Exception):
+    """Bad input; the message is one sentence that names the fix."""
+
+
+def run_command(main: Callable[[], int | None]) -> None:
+    """Run a command's ``main``; turn a :class:`UserError` into one line and exit status 2."""
+    try:
+        status = main()
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except OSError as error:
+        # A full disk or an unwritable folder: nothing already saved was touched.
+        print(f"error: {error}; free some space or choose another folder", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+    sys.exit(status or 0)

@@ -1,0 +1,122 @@
+"""The whole state of a training run on disk, so that a killed run goes on where it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from napsp.buffer import FIELDS, Episodes
+from napsp.checkpoint import FORMAT, read_tensors, write_tensors
+from napsp.config import TrainConfig
+from napsp.errors import UserError
+from napsp.learner import Learner
+
+STATE_FILE = "training_state.safetensors"
+
+
+def save_training(path: Path, learner: Learner, iteration: int, seconds: float) -> None:
+    """Write networks, optimisers, counts, D and random states after ``iteration`` iterations."""
+    tensors: dict[str, Tensor] = {"torch_generator": learner.generator.get_state()}
+    for name, network in _networks(learner).items():
+        tensors |= {f"{name}.{key}": value for key, value in network.state_dict().items()}
+    for name, optimizer in _optimizers(learner).items():
+        for index, entries in optimizer.state_dict()["state"].items():
+            tensors |= {f"{name}.{index}.{key}": value for key, value in entries.items()}
+    tensors["log_alpha"] = learner.agent.log_alpha
+    for name, array in _arrays(learner).items():
+        tensors[name] = torch.from_numpy(np.ascontiguousarray(array))
+    header = {
+        "format": FORMAT,
+        "kind": "training state",
+        "config": learner.config.to_dict(),
+        "iteration": iteration,
+        "seconds": seconds,
+        "rng": learner.rng.bit_generator.state,
+    }
+    write_tensors(path, tensors, header)
+
+
+def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read a training state and check that it belongs to ``config``.
+
+    The number of episodes may differ: a finished run can be prolonged.
+
+    Raises:
+        UserError: damaged file, or a run with other settings.
+    """
+    tensors, header = read_tensors(path, "training state")
+    saved, wanted = dict(header["config"]), config.to_dict()
+    different = [name for name in wanted if name != "n_episodes" and saved.get(name) != wanted[name]]
+    if different:
+        raise UserError(
+            f"{path.parent} holds a run with other settings ({', '.join(different)}); "
+            "choose another --out, or --restart to overwrite it"
+        )
+    return tensors, header
+
+
+def warmup_episodes(tensors: dict[str, Tensor], config: TrainConfig) -> Episodes:
+    """The warm-up episodes: the first ones of the stored D."""
+    n = -(-config.n_warmup_episodes // config.episodes_per_iteration) * config.episodes_per_iteration
+    return Episodes(**{name: tensors[f"buffer.{name}"][:n].numpy() for name in FIELDS})
+
+
+def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[str, Any]) -> int:
+    """Put ``learner`` into the stored state; return the number of iterations done."""
+    for name, network in _networks(learner).items():
+        network.load_state_dict({key: tensors[f"{name}.{key}"] for key in network.state_dict()})
+    for name, optimizer in _optimizers(learner).items():
+        state: dict[int, dict[str, Tensor]] = {}
+        for key, value in tensors.items():
+            if key.startswith(f"{name}."):
+                index, entry = key.removeprefix(f"{name}.").split(".")
+                state.setdefault(int(index), {})[entry] = value
+        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+    with torch.no_grad():
+        learner.agent.log_alpha.copy_(tensors["log_alpha"])
+    stored = Episodes(**{name: tensors[f"buffer.{name}"].numpy() for name in FIELDS})
+    n_missing = len(stored) - len(learner.buffer)
+    learner.buffer.extend(Episodes(**{name: getattr(stored, name)[-n_missing:] for name in FIELDS}))
+    for name, table in _tables(learner).items():
+        table.projection = tensors[f"{name}.projection"].numpy()
+        table.keys, table.counts = tensors[f"{name}.keys"].numpy(), tensors[f"{name}.counts"].numpy()
+    learner.generator.set_state(tensors["torch_generator"])
+    learner.rng.bit_generator.state = header["rng"]
+    return int(header["iteration"])
+
+
+def _networks(learner: Learner) -> dict[str, torch.nn.Module]:
+    agent = learner.agent
+    return {
+        "distance": learner.distance,
+        "target_distance": learner.target_distance,
+        "policy": agent.policy,
+        "critic": agent.critic,
+        "target_critic": agent.target_critic,
+    }
+
+
+def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:
+    agent = learner.agent
+    return {
+        "distance_optimizer": learner.distance_optimizer,
+        "policy_optimizer": agent.policy_optimizer,
+        "critic_optimizer": agent.critic_optimizer,
+        "alpha_optimizer": agent.alpha_optimizer,
+    }
+
+
+def _tables(learner: Learner) -> dict[str, Any]:
+    return {"visits": learner.counts.visit_table, "reached": learner.counts.reached_table}
+
+
+def _arrays(learner: Learner) -> dict[str, np.ndarray]:
+    episodes = learner.buffer.episodes()
+    arrays = {f"buffer.{name}": getattr(episodes, name) for name in FIELDS}
+    for name, table in _tables(learner).items():
+        arrays |= {f"{name}.{key}": getattr(table, key) for key in ("projection", "keys", "counts")}
+    return arrays

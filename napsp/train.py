@@ -1,0 +1,233 @@
+"""Algorithm 1 of the paper as one loop: ``python -m napsp.train --env NAME --method ours``."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+import tyro
+
+from napsp import envs as tasks
+from napsp.buffer import Episodes, concatenate
+from napsp.checkpoint import MODEL_FILE, save_model
+from napsp.config import TrainConfig, preset
+from napsp.episodes import ExploringActor, evaluate, greedy_actor, roll
+from napsp.errors import run_command
+from napsp.learner import Learner
+from napsp.progress import Progress, Row, read_rows
+from napsp.resume import STATE_FILE, read_training, restore_training, save_training, warmup_episodes
+
+EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
+
+
+def train(config: TrainConfig, folder: Path, restart: bool = False, tensorboard: bool = False) -> list[Row]:
+    """Run Algorithm 1; write ``model.safetensors`` and ``metrics.csv`` into ``folder``.
+
+    A folder that holds an unfinished run with the same settings is continued, unless
+    ``restart``. Returns the rows of ``metrics.csv``.
+    """
+    run = Run.open(config, folder, restart, tensorboard)
+    learner = run.learner
+    for iteration in range(run.iteration, run.n_iterations):  # Algorithm 1, line 1
+        recent = run.collect(learner.agent.policy)  # 3: D_last
+        learner.counts.update(recent)  # 4
+        metrics: Row = {}
+        if config.learns_distance:
+            metrics |= learner.train_temporal()  # 5-8: eq. 4a
+            learner.update_target()  # 9
+        if config.method == "ours":
+            metrics |= learner.train_triangular(recent)  # 10-17: eq. 3, 4b
+        metrics |= learner.train_policy()  # 18-21
+        learner.buffer.extend(recent)  # 22
+        if run.finish_iteration(iteration, metrics):
+            break
+    run.close()
+    return run.progress.rows
+
+
+@dataclass
+class Run:
+    """The surroundings of the loop: environments, evaluation, checkpoints, interruption."""
+
+    config: TrainConfig
+    folder: Path
+    envs: list[Any]
+    sizes: tuple[int, int, int]
+    learner: Learner
+    iteration: int
+    progress: Progress
+    seconds_before: float
+    started: float
+    interrupted: bool = False
+
+    @classmethod
+    def open(cls, config: TrainConfig, folder: Path, restart: bool, tensorboard: bool) -> Run:
+        """Start a run in ``folder`` or continue the one it holds."""
+        torch.manual_seed(config.seed)  # initial weights
+        rng, generator = np.random.default_rng(config.seed), torch.Generator().manual_seed(config.seed)
+        envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
+        sizes = _sizes(envs[0])
+        state = folder / STATE_FILE
+        saved = read_training(state, config) if state.is_file() and not restart else None
+        warmup = warmup_episodes(saved[0], config) if saved else _warm_up(envs, config, rng, generator)
+        learner = Learner(config, sizes, warmup, _sparse_reward(envs[0]), rng, generator)
+        iteration, rows, seconds = 0, [], 0.0
+        if saved:
+            iteration = restore_training(learner, *saved)
+            rows = read_rows(folder / "metrics.csv", len(learner.buffer))
+            seconds = saved[1]["seconds"]
+            print(f"continuing {folder} at episode {len(learner.buffer)}")
+        folder.mkdir(parents=True, exist_ok=True)
+        progress = Progress(folder, rows, tensorboard)
+        run = cls(config, folder, envs, sizes, learner, iteration, progress, seconds, time.monotonic())
+        signal.signal(signal.SIGINT, run._interrupt)
+        return run
+
+    @property
+    def n_iterations(self) -> int:
+        """Iterations of Algorithm 1, I."""
+        n_warmup = _round_up(self.config.n_warmup_episodes, self.config.episodes_per_iteration)
+        return max(0, -(-(self.config.n_episodes - n_warmup) // self.config.episodes_per_iteration))
+
+    def collect(self, policy: Any) -> Episodes:
+        """Algorithm 1, line 3: roll the exploring policy once in every environment."""
+        config, learner = self.config, self.learner
+        actor = ExploringActor(
+            policy, self.sizes[1], config.epsilon, config.exploration_hold, learner.rng, learner.generator
+        )
+        seeds = [int(seed) for seed in learner.rng.integers(EVALUATION_SEED, size=len(self.envs))]
+        return roll(self.envs, actor, seeds, config.horizon)
+
+    def finish_iteration(self, iteration: int, metrics: Row) -> bool:
+        """Evaluate and save when due; return True to stop."""
+        config, done = self.config, len(self.learner.buffer)
+        seconds = self.seconds_before + time.monotonic() - self.started
+        session = (time.monotonic() - self.started) / max(1, iteration + 1 - self.iteration)
+        seconds_left = session * (self.n_iterations - iteration - 1)
+        self.progress.tick(done, config.n_episodes, seconds_left)
+        last = iteration == self.n_iterations - 1
+        due = done // config.evaluate_every > (done - config.episodes_per_iteration) // config.evaluate_every
+        if due or last:
+            timing = {"seconds": seconds, "steps_per_second": done * config.horizon / seconds}
+            self.progress.report(
+                {"episodes": float(done), **self._evaluate(), **metrics, **timing, "minutes_left": seconds_left / 60}
+            )
+        if due or last or self.interrupted:
+            self._save(iteration + 1, seconds)
+        return self.interrupted
+
+    def _evaluate(self) -> Row:
+        config, policy = self.config, self.learner.agent.policy
+        seeds = [EVALUATION_SEED + i for i in range(config.n_evaluation_episodes)]
+        result, episodes = evaluate(self.envs, greedy_actor(policy), seeds, config.horizon)
+        row = {
+            "success_rate": result.success_rate,
+            "any_success_rate": result.any_success_rate,
+            "mean_gap": float(result.gaps[:, -1].mean()),
+        }
+        at_goal = result.reached[:, -1]
+        if config.learns_distance and at_goal.any():
+            last = torch.from_numpy(episodes.observations[at_goal, -1])
+            goals = torch.from_numpy(episodes.desired_goals[at_goal])
+            with torch.inference_mode():
+                steps = self.learner.distance.steps(last, policy.mode(last, goals), goals)
+            row["distance_at_goal"] = float(steps.mean())
+        return row
+
+    def _save(self, iteration: int, seconds: float) -> None:
+        learner = self.learner
+        save_training(self.folder / STATE_FILE, learner, iteration, seconds)
+        distance = learner.distance if self.config.learns_distance else None
+        save_model(
+            self.folder / MODEL_FILE, learner.agent.policy, distance, self.config, self.sizes, len(learner.buffer)
+        )
+
+    def _interrupt(self, signum: int, frame: FrameType | None) -> None:
+        if self.interrupted:
+            raise KeyboardInterrupt
+        self.interrupted = True
+        print("\nfinishing this iteration and saving; press Ctrl-C again to stop at once", flush=True)
+
+    def close(self) -> None:
+        """Release environments; say how to go on after an interruption."""
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        self.progress.close()
+        for env in self.envs:
+            env.close()
+        if self.interrupted:
+            print(f"saved in {self.folder}; the same command continues it")
+
+
+def _warm_up(envs: list[Any], config: TrainConfig, rng: np.random.Generator, generator: torch.Generator) -> Episodes:
+    """Random episodes that seed D: line 22 comes last, so iteration 0 would find D empty."""
+    parts = []
+    for _ in range(_round_up(config.n_warmup_episodes, len(envs)) // len(envs)):
+        actor = ExploringActor(None, envs[0].action_space.shape[0], 1.0, config.exploration_hold, rng, generator)
+        seeds = [int(seed) for seed in rng.integers(EVALUATION_SEED, size=len(envs))]
+        parts.append(roll(envs, actor, seeds, config.horizon))
+    return concatenate(parts)
+
+
+def _sizes(env: Any) -> tuple[int, int, int]:
+    spaces = env.observation_space.spaces
+    return spaces["observation"].shape[0], env.action_space.shape[0], spaces["desired_goal"].shape[0]
+
+
+def _sparse_reward(env: Any) -> Any:
+    return lambda achieved, goals: np.asarray(env.unwrapped.compute_reward(achieved, goals, {}), np.float32)
+
+
+def _round_up(n: int, multiple: int) -> int:
+    return -(-n // multiple) * multiple
+
+
+@dataclass(frozen=True)
+class Options:
+    """Where a run lives and how it is shown."""
+
+    out: Path | None = None
+    """Folder of the run; default runs/ENV-METHOD-sSEED."""
+    restart: bool = False
+    """Overwrite the run in that folder instead of continuing it."""
+    tensorboard: bool = False
+    """Write TensorBoard event files as well (needs the tensorboard extra)."""
+    threads: int = 1
+    """CPU threads; two single-threaded runs finish sooner than one with two threads."""
+
+
+def parse(arguments: list[str]) -> tuple[TrainConfig, Options]:
+    """Read the command line; the defaults depend on ``--env``."""
+    env = "fetch_wall"
+    for flag, value in zip(arguments, [*arguments[1:], ""], strict=True):
+        env = value if flag == "--env" else flag.removeprefix("--env=") if flag.startswith("--env=") else env
+    default = preset(env)
+
+    def both(
+        config: Annotated[TrainConfig, tyro.conf.arg(name="")] = default,
+        options: Annotated[Options, tyro.conf.arg(name="")] = Options(),
+    ) -> tuple[TrainConfig, Options]:
+        """Train a distance and a policy (Algorithm 1)."""
+        return config, options
+
+    return tyro.cli(both, args=arguments, prog="python -m napsp.train")
+
+
+def main() -> int:
+    """Run the command."""
+    config, options = parse(sys.argv[1:])
+    torch.set_num_threads(options.threads)
+    folder = options.out or Path("runs") / f"{config.env}-{config.method}-s{config.seed}"
+    print(f"{config.env}: {config.method}, seed {config.seed}, {config.n_episodes} episodes -> {folder}")
+    rows = train(config, folder, options.restart, options.tensorboard)
+    return 0 if rows else 1
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,109 @@
+"""Model predictive path integral control: the exponentially weighted mean of noisy plans.
+
+Williams et al. 2017, in numpy and nothing else: this file knows no simulator and no network.
+Run it with ``python -m planners.mppi --env fetch_wall``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+class MPPI:
+    """Searches plans of K knots with U controls each; lower cost is better.
+
+    A plan is refined by calling :meth:`sample`, rolling the knots out, and handing their
+    costs to :meth:`update`. Between control steps :meth:`shift` moves the plan on in time.
+
+    Args:
+        n_knots: K.
+        n_controls: U, each in [-1, 1].
+        n_samples: N, plans per refinement.
+        noise_scale: standard deviation of the noise, in control units.
+        noise_correlation: correlation of the noise between neighbouring knots, in [0, 1).
+        temperature: lambda, in standard deviations of the sampled costs, so that the same
+            value serves tasks with costs of any size.
+    """
+
+    def __init__(
+        self,
+        n_knots: int,
+        n_controls: int,
+        n_samples: int = 64,
+        noise_scale: float = 0.8,
+        noise_correlation: float = 0.6,
+        temperature: float = 0.2,
+    ) -> None:
+        self.n_samples = n_samples
+        self.noise_scale, self.noise_correlation, self.temperature = noise_scale, noise_correlation, temperature
+        self._shape = (n_knots, n_controls)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the plan: the next episode starts from zero."""
+        self.mean = np.zeros(self._shape)
+        self.best: np.ndarray | None = None
+        self.effective_samples = float(self.n_samples)
+
+    def sample(self, rng: np.random.Generator, proposals: np.ndarray | None = None) -> np.ndarray:
+        """Draw knots ``(N, K, U)``: the mean, the last best plan, proposals, and noise around the mean.
+
+        ``proposals`` ``(P, K, U)`` replace noisy plans; they come from a policy, say.
+        """
+        noise = correlated_noise(rng, (self.n_samples, *self._shape), self.noise_correlation)
+        knots = self.mean + self.noise_scale * noise
+        kept = [self.mean[None]]
+        if self.best is not None:
+            kept.append(self.best[None])
+        if proposals is not None:
+            kept.append(proposals)
+        first = np.concatenate(kept)[: self.n_samples]
+        knots[: len(first)] = first
+        return np.clip(knots, -1.0, 1.0)
+
+    def update(self, knots: np.ndarray, costs: np.ndarray) -> None:
+        """Move the mean to the weighted mean of ``knots`` ``(N, K, U)``.
+
+        A cost that is infinite or NaN has weight zero; if none is finite the plan stays.
+        """
+        if not np.isfinite(costs).any():
+            return
+        weights = softmin(costs, self.temperature)
+        self.mean = np.tensordot(weights, knots, axes=1)
+        self.best = knots[np.nanargmin(costs)].copy()
+        self.effective_samples = float(1.0 / np.square(weights).sum())
+
+    def shift(self, shift: np.ndarray) -> None:
+        """Warm start: move the plan on by one control step with a shift matrix ``(K, K)``."""
+        self.mean = shift @ self.mean
+        if self.best is not None:
+            self.best = shift @ self.best
+
+
+def softmin(costs: np.ndarray, temperature: float) -> np.ndarray:
+    """Weights ``(N,)`` proportional to exp(-cost / (temperature * std of the finite costs)).
+
+    They sum to one and do not change when a constant is added to the costs or when the
+    costs are scaled. Costs without spread get equal weights.
+    """
+    finite = np.isfinite(costs)
+    spread = costs[finite].std()
+    excess = np.where(finite, costs - costs[finite].min(), np.inf)
+    scale = temperature * spread
+    weights = np.exp(-excess / scale) if scale > 1e-12 else (excess <= 1e-12).astype(float)
+    return weights / weights.sum()
+
+
+def correlated_noise(rng: np.random.Generator, shape: tuple[int, int, int], correlation: float) -> np.ndarray:
+    """Unit-variance Gaussian noise ``(N, K, U)`` with AR(1) correlation along K."""
+    noise = rng.standard_normal(shape)
+    fresh = np.sqrt(1.0 - correlation**2)
+    for k in range(1, shape[1]):
+        noise[:, k] = correlation * noise[:, k - 1] + fresh * noise[:, k]
+    return noise
+
+
+if __name__ == "__main__":
+    from planners.cli import main
+
+    main("mppi")
