@@ -50,6 +50,7 @@ class RolloutEngine:
         self.n_threads = n_threads or os.cpu_count() or 1
         # MjData takes megabytes: one per thread for good, never one per sample.
         self._datas = [mujoco.MjData(dynamics.model) for _ in range(self.n_threads)]
+        self._simulations = [dynamics.bind(data) for data in self._datas]
         self._duration = dynamics.substeps * dynamics.model.opt.timestep
         self._pool: ThreadPoolExecutor | None = None
         self._native: Rollout | None = None
@@ -73,14 +74,14 @@ class RolloutEngine:
 
     def follow(self, state: np.ndarray, observation: dict[str, np.ndarray], actor: Actor, horizon: int) -> np.ndarray:
         """Actions ``(H, A)`` of an actor that sees every simulated state, starting from ``state``."""
-        data, features = self._datas[0], np.empty(self.dynamics.n_features)
-        self.dynamics.restore(data, state)
+        simulation, features = self._simulations[0], np.empty(self.dynamics.n_features)
+        simulation.restore(state)
         current, goal = observation["observation"], observation["desired_goal"].astype(np.float32)[None]
         actions = []
         for _ in range(horizon):
             actions.append(actor(current.astype(np.float32)[None], goal)[0])
-            self.dynamics.step(data, self.dynamics.control(actions[-1]))
-            self.dynamics.record(data, features)
+            simulation.step(self.dynamics.control(actions[-1]))
+            simulation.record(features)
             current = self.dynamics.observe(features)[0]
         return np.stack(actions)
 
@@ -92,27 +93,28 @@ class RolloutEngine:
         # Interleaved samples balance contact-rich and free ones without a queue.
         shares = [range(worker, len(controls), self.n_threads) for worker in range(self.n_threads)]
         jobs = [
-            self._pool.submit(self._run_samples, data, state, samples, controls, features, final_times)
-            for data, samples in zip(self._datas, shares, strict=True)
+            self._pool.submit(self._run_samples, worker, state, samples, controls, features, final_times)
+            for worker, samples in enumerate(shares)
         ]
         for job in jobs:
             job.result()
 
     def _run_samples(
         self,
-        data: mujoco.MjData,
+        worker: int,
         state: np.ndarray,
         samples: range,
         controls: np.ndarray,
         features: np.ndarray,
         final_times: np.ndarray,
     ) -> None:
-        restore, step, record = self.dynamics.restore, self.dynamics.step, self.dynamics.record
+        simulation, data = self._simulations[worker], self._datas[worker]
+        step, record = simulation.step, simulation.record
         for sample in samples:
-            restore(data, state)
+            simulation.restore(state)
             for control, row in zip(controls[sample], features[sample], strict=True):
-                step(data, control)
-                record(data, row)
+                step(control)
+                record(row)
             final_times[sample] = data.time
 
     def _run_native(
@@ -122,7 +124,7 @@ class RolloutEngine:
         if self._native is None:
             self._native = Rollout(nthread=self.n_threads)
         model, data = self.dynamics.model, self._datas[0]
-        self.dynamics.restore(data, state)
+        self._simulations[0].restore(state)
         start = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         held = np.repeat(controls, self.dynamics.substeps, axis=1)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import gymnasium
+import farama_notifications
 
-from napsp.errors import UserError
+# gymnasium-robotics prints a notice about its Adroit tasks on import; no task here is one.
+farama_notifications.notifications.pop("gymnasium_robotics", None)
+
+import gymnasium  # noqa: E402
+
+from napsp.errors import UserError  # noqa: E402
 
 TASKS: dict[str, tuple[str, str, dict, int]] = {
     # name: (Gymnasium id, entry point, keyword arguments, episode length in control steps)

@@ -15,6 +15,22 @@ import numpy as np
 INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
+class Simulation(Protocol):
+    """A task's dynamics bound to one ``MjData``: the part that runs once per control step."""
+
+    def step(self, control: np.ndarray) -> None:
+        """Apply one control row ``(U,)`` and advance ``substeps`` physics steps."""
+        ...
+
+    def record(self, features: np.ndarray) -> None:
+        """Write what observations are made of into ``features`` ``(F,)``."""
+        ...
+
+    def restore(self, state: np.ndarray) -> None:
+        """Put the data into a state taken by :func:`get_state`."""
+        ...
+
+
 class Dynamics(Protocol):
     """What a task offers to its environment and to the planners.
 
@@ -30,24 +46,16 @@ class Dynamics(Protocol):
     """True when a control row does not depend on the simulated state, so that a whole
     horizon can be handed to one ``mujoco.rollout`` call (features are then qpos, qvel)."""
 
+    def bind(self, data: mujoco.MjData) -> Simulation:
+        """Prepare to simulate on ``data``."""
+        ...
+
     def control(self, actions: np.ndarray) -> np.ndarray:
         """Map actions ``(..., A)`` in [-1, 1] to control rows ``(..., U)``, float64."""
         ...
 
-    def step(self, data: mujoco.MjData, control: np.ndarray) -> None:
-        """Apply one control row ``(U,)`` and advance ``substeps`` physics steps."""
-        ...
-
-    def record(self, data: mujoco.MjData, features: np.ndarray) -> None:
-        """Write what observations are made of into ``features`` ``(F,)``."""
-        ...
-
     def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turn features ``(..., F)`` into observation ``(..., O)`` and achieved goal ``(..., G)``."""
-        ...
-
-    def restore(self, data: mujoco.MjData, state: np.ndarray) -> None:
-        """Put ``data`` into a state taken by :func:`get_state`."""
         ...
 
 
@@ -60,17 +68,3 @@ def get_state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     state = np.empty(mujoco.mj_stateSize(model, INTEGRATION_STATE))
     mujoco.mj_getState(model, data, state, INTEGRATION_STATE)
     return state
-
-
-def diverged(data: mujoco.MjData, expected_time: float) -> bool:
-    """Tell whether MuJoCo gave up on the simulation since it was last at a known time.
-
-    MuJoCo answers a blow-up by resetting the state to *finite* values with time zero, so
-    looking for NaN finds nothing; the clock is the only honest witness.
-    """
-    return data.time < expected_time - 0.5 * mujoco_timestep(data)
-
-
-def mujoco_timestep(data: mujoco.MjData) -> float:
-    """Physics time step of the model behind ``data``, in seconds."""
-    return float(data.model.opt.timestep)

@@ -25,6 +25,60 @@ LOWER_ARM_BODIES = tuple(
 ARM_BIT = 2  # arm links collide with what lists this bit: table and wall, never each other
 
 
+class FetchReachSimulation:
+    """The arm on one ``MjData``. Views into the data are made once: they cost more than the arithmetic."""
+
+    def __init__(self, dynamics: FetchReachDynamics, data: mujoco.MjData) -> None:
+        model = dynamics.model
+        self._model, self._data, self._substeps = model, data, dynamics.substeps
+        gripper, site = model.body("robot0:gripper_link").id, model.site("robot0:grip").id
+        self._anchor, self._rotation = data.xpos[gripper], data.xquat[gripper]
+        self._target, self._target_rotation = data.mocap_pos[0], data.mocap_quat[0]
+        self._grip, self._velocity = data.site_xpos[site], data.cvel[gripper]
+        self._com = data.subtree_com[model.body_rootid[gripper]]
+        fingers = [model.joint(f"robot0:{side}_gripper_finger_joint") for side in ("r", "l")]
+        first, first_dof = int(fingers[0].qposadr[0]), int(fingers[0].dofadr[0])
+        if int(fingers[1].qposadr[0]) != first + 1:
+            raise ValueError("the finger joints of the Fetch model are not neighbours; its layout has changed")
+        self._fingers = data.qpos[first : first + 2]
+        self._finger_speeds = data.qvel[first_dof : first_dof + 2]
+
+    def step(self, control: np.ndarray) -> None:
+        """Re-anchor the mocap to the gripper, displace it, advance, and close the fingers."""
+        np.add(self._anchor, control, out=self._target)
+        np.add(self._rotation, GRIPPER_ROTATION, out=self._target_rotation)
+        mujoco.mj_step(self._model, self._data, self._substeps)
+        self.close_fingers()
+        self.refresh()
+
+    def close_fingers(self) -> None:
+        """Fetch reaching blocks the gripper by setting its joints back after every step."""
+        self._fingers.fill(0.0)
+
+    def refresh(self) -> None:
+        """Bring positions and velocities up to date with qpos and qvel.
+
+        Stock Fetch calls mj_forward here; these three give the same numbers to the bit and
+        leave out collisions and the solver.
+        """
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_comVel(self._model, self._data)
+
+    def record(self, features: np.ndarray) -> None:
+        """Write the features ``(16,)`` of a fresh state."""
+        features[0:3] = self._grip
+        features[3:5] = self._fingers
+        features[5:7] = self._finger_speeds
+        features[7:13] = self._velocity
+        features[13:16] = self._com
+
+    def restore(self, state: np.ndarray) -> None:
+        """Load a full integration state and the gripper pose the next step anchors to."""
+        mujoco.mj_setState(self._model, self._data, state, INTEGRATION_STATE)
+        self.refresh()
+
+
 class FetchReachDynamics:
     """Mocap control of the gripper with blocked fingers.
 
@@ -39,49 +93,16 @@ class FetchReachDynamics:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
-        self._gripper = model.body("robot0:gripper_link").id
-        self._site = model.site("robot0:grip").id
-        self._root = int(model.body_rootid[self._gripper])
-        joints = [model.joint(f"robot0:{side}_gripper_finger_joint") for side in ("r", "l")]
-        self._right, self._left = (int(j.qposadr[0]) for j in joints)
-        self._right_dof, self._left_dof = (int(j.dofadr[0]) for j in joints)
         self._dt = self.substeps * model.opt.timestep
+
+    def bind(self, data: mujoco.MjData) -> FetchReachSimulation:
+        """Simulate on ``data``."""
+        return FetchReachSimulation(self, data)
 
     def control(self, actions: np.ndarray) -> np.ndarray:
         """Displacements ``(..., 3)`` in metres, in the float32 arithmetic Fetch itself uses."""
         clipped = np.clip(np.asarray(actions, np.float32)[..., :3], -1.0, 1.0)
         return (clipped * ACTION_SCALE).astype(np.float64)
-
-    def step(self, data: mujoco.MjData, control: np.ndarray) -> None:
-        """Re-anchor the mocap to the gripper, displace it, advance, and close the fingers."""
-        np.add(data.xpos[self._gripper], control, out=data.mocap_pos[0])
-        np.add(data.xquat[self._gripper], GRIPPER_ROTATION, out=data.mocap_quat[0])
-        mujoco.mj_step(self.model, data, nstep=self.substeps)
-        self._close_fingers(data)
-        self._refresh(data)
-
-    def _close_fingers(self, data: mujoco.MjData) -> None:
-        qpos = data.qpos
-        qpos[self._right] = 0.0
-        qpos[self._left] = 0.0
-
-    def _refresh(self, data: mujoco.MjData) -> None:
-        # Stock Fetch calls mj_forward here; these three give the same positions and
-        # velocities to the bit and leave out collisions and the solver.
-        mujoco.mj_kinematics(self.model, data)
-        mujoco.mj_comPos(self.model, data)
-        mujoco.mj_comVel(self.model, data)
-
-    def record(self, data: mujoco.MjData, features: np.ndarray) -> None:
-        """Write the features ``(16,)``; ``data`` must be fresh (after :meth:`step`)."""
-        features[0:3] = data.site_xpos[self._site]
-        qpos, qvel = data.qpos, data.qvel
-        features[3] = qpos[self._right]
-        features[4] = qpos[self._left]
-        features[5] = qvel[self._right_dof]
-        features[6] = qvel[self._left_dof]
-        features[7:13] = data.cvel[self._gripper]
-        features[13:16] = data.subtree_com[self._root]
 
     def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fetch's observation ``(..., 10)`` and the grip position ``(..., 3)``.
@@ -102,11 +123,6 @@ class FetchReachDynamics:
         observation[..., 7] = (features[..., 12] + (wx * y - wy * x)) * self._dt
         observation[..., 8:10] = features[..., 5:7] * self._dt
         return observation, position.copy()
-
-    def restore(self, data: mujoco.MjData, state: np.ndarray) -> None:
-        """Load a full integration state and the gripper pose the next step anchors to."""
-        mujoco.mj_setState(self.model, data, state, INTEGRATION_STATE)
-        self._refresh(data)
 
 
 class FetchReachEnv(MujocoFetchReachEnv):
@@ -141,6 +157,7 @@ class FetchReachEnv(MujocoFetchReachEnv):
         self.model.vis.global_.offwidth = max(self.width, 640)
         self.model.vis.global_.offheight = max(self.height, 480)
         self.dynamics = FetchReachDynamics(self.model)
+        self._simulation = self.dynamics.bind(self.data)
         self._env_setup(initial_qpos=self.initial_qpos)
         self.initial_time = self.data.time
         self.initial_qpos = np.copy(self.data.qpos)
@@ -150,7 +167,7 @@ class FetchReachEnv(MujocoFetchReachEnv):
         """Advance one control step (0.04 s); same result as Fetch's own step, less Python."""
         if np.shape(action) != self.action_space.shape:
             raise ValueError(f"action has shape {np.shape(action)}, expected {self.action_space.shape}")
-        self.dynamics.step(self.data, self.dynamics.control(action))
+        self._simulation.step(self.dynamics.control(action))
         if self.render_mode == "human":
             self.render()
         observation = self._get_obs()
@@ -159,8 +176,7 @@ class FetchReachEnv(MujocoFetchReachEnv):
         return observation, float(reward), False, False, {"is_success": success}
 
     def _get_obs(self) -> dict[str, np.ndarray]:
-        self.dynamics._refresh(self.data)
-        self.dynamics.record(self.data, self._features)
+        self._simulation.record(self._features)
         observation, achieved_goal = self.dynamics.observe(self._features)
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
 
@@ -208,9 +224,9 @@ class FetchReachWallEnv(FetchReachEnv):
         grip = self.data.site_xpos[self.model.site("robot0:grip").id]
         for _ in range(12):
             step = np.clip(self.START_GRIP - grip, -ACTION_SCALE, ACTION_SCALE)
-            self.dynamics.step(self.data, step)
+            self._simulation.step(step)
         for _ in range(5):
-            self.dynamics.step(self.data, np.zeros(3))
+            self._simulation.step(np.zeros(3))
         self.initial_gripper_xpos = grip.copy()
 
     def _sample_goal(self) -> np.ndarray:
@@ -224,6 +240,11 @@ def filter_collisions(spec: mujoco.MjSpec) -> None:
     fingers keep bit 1 and meet the world; the lower arm has only bit 2, which table and
     wall list in their affinity; base, torso and head collide with nothing they could reach.
     """
+    gripper = spec.body("robot0:gripper_link")
+    hull = gripper.first_geom()
+    gripper.add_geom(type=hull.type, meshname=hull.meshname, material=hull.material, contype=0, conaffinity=0)
+    hull.type = mujoco.mjtGeom.mjGEOM_BOX  # fitted to the mesh by the compiler
+    hull.group = 3  # not drawn
     for body in spec.bodies:
         for geom in body.geoms:
             if body.name in GRIPPER_BODIES or not (geom.contype or geom.conaffinity):

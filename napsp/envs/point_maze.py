@@ -74,6 +74,27 @@ def _build_model(scale: float) -> mujoco.MjModel:
     </mujoco>""")
 
 
+class PointMazeSimulation:
+    """The point on one ``MjData``: hold a force for ``substeps`` physics steps."""
+
+    def __init__(self, dynamics: PointMazeDynamics, data: mujoco.MjData) -> None:
+        self._model, self._data, self._substeps = dynamics.model, data, dynamics.substeps
+
+    def step(self, control: np.ndarray) -> None:
+        """Apply one force ``(2,)``."""
+        self._data.ctrl[:] = control
+        mujoco.mj_step(self._model, self._data, nstep=self._substeps)
+
+    def record(self, features: np.ndarray) -> None:
+        """Features ``(4,)``: qpos then qvel."""
+        features[:2] = self._data.qpos
+        features[2:] = self._data.qvel
+
+    def restore(self, state: np.ndarray) -> None:
+        """Load a full integration state."""
+        mujoco.mj_setState(self._model, self._data, state, INTEGRATION_STATE)
+
+
 class PointMazeDynamics:
     """Force control of the point: a control row is the action, features are (x, y, vx, vy)."""
 
@@ -84,27 +105,17 @@ class PointMazeDynamics:
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
 
+    def bind(self, data: mujoco.MjData) -> PointMazeSimulation:
+        """Simulate on ``data``."""
+        return PointMazeSimulation(self, data)
+
     def control(self, actions: np.ndarray) -> np.ndarray:
         """Forces ``(..., 2)``: actions clipped to [-1, 1]; the gear turns 1 into 10 N."""
         return np.clip(np.asarray(actions, np.float64), -1.0, 1.0)
 
-    def step(self, data: mujoco.MjData, control: np.ndarray) -> None:
-        """Hold one force ``(2,)`` for ``substeps`` physics steps."""
-        data.ctrl[:] = control
-        mujoco.mj_step(self.model, data, nstep=self.substeps)
-
-    def record(self, data: mujoco.MjData, features: np.ndarray) -> None:
-        """Features ``(4,)``: qpos then qvel."""
-        features[:2] = data.qpos
-        features[2:] = data.qvel
-
     def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Observation (x, y, vx, vy) in m and m/s; achieved goal (x, y)."""
         return features.copy(), features[..., :2].copy()
-
-    def restore(self, data: mujoco.MjData, state: np.ndarray) -> None:
-        """Load a full integration state."""
-        mujoco.mj_setState(self.model, data, state, INTEGRATION_STATE)
 
 
 class PointMazeEnv(GoalEnv):
@@ -126,6 +137,7 @@ class PointMazeEnv(GoalEnv):
         self.model = _build_model(scale)
         self.data = mujoco.MjData(self.model)
         self.dynamics = PointMazeDynamics(self.model)
+        self._simulation = self.dynamics.bind(self.data)
         self.render_mode = render_mode
         self.goal = np.zeros(2)
         self._features = np.zeros(self.dynamics.n_features)
@@ -149,7 +161,7 @@ class PointMazeEnv(GoalEnv):
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Advance one control step (0.1 s). Never terminates: reaching a goal is not an end."""
-        self.dynamics.step(self.data, self.dynamics.control(action))
+        self._simulation.step(self.dynamics.control(action))
         observation = self._observation()
         reward = self.compute_reward(observation["achieved_goal"], self.goal, {})
         return observation, float(reward), False, False, {"is_success": bool(reward == 0)}
@@ -177,7 +189,7 @@ class PointMazeEnv(GoalEnv):
         return False
 
     def _observation(self) -> dict[str, np.ndarray]:
-        self.dynamics.record(self.data, self._features)
+        self._simulation.record(self._features)
         observation, achieved_goal = self.dynamics.observe(self._features)
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
 

@@ -1,0 +1,184 @@
+"""How fast a whole plan call is: against replay, against raw ``mujoco.rollout``, and data collection.
+
+``python -m benchmarks.rollout_speed --env fetch_wall`` interleaves four things in one run, on one
+model, with the same samples and horizon, and reports medians of paired ratios:
+
+* plan: a whole plan call (sampling, rollouts, cost with the learned d, update);
+* replay: the very same motions (the mocap targets or forces of that plan's samples) handed to
+  one ``mujoco.rollout`` call: the same physics without any of this package;
+* raw: ``mujoco.rollout`` with constant controls;
+* collection: the environment's own step against gymnasium-robotics' stock step on the same model.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import tyro
+from gymnasium_robotics.envs.fetch.fetch_env import MujocoFetchEnv
+
+from mpc.controller import Plan
+from mpc.speed import HELD, RawRollout
+from napsp import envs as tasks
+from napsp.checkpoint import git_revision, write_atomically
+from napsp.envs.dynamics import Dynamics, get_state
+from napsp.envs.fetch import FetchReachEnv
+from napsp.errors import run_command
+from planners.cli import OPTIONS
+from planners.session import Session
+
+
+@dataclass(frozen=True)
+class SpeedOptions:
+    """Measure plan throughput and data collection."""
+
+    env: str = "fetch_wall"
+    """Task."""
+    samples: int = 64
+    """Plans per call."""
+    horizon: int = 15
+    """Control steps per plan."""
+    rounds: int = 15
+    """Interleaved rounds; the figures are medians of per-round ratios."""
+    threads: int | None = None
+    """Simulation threads; default all cores."""
+    out: Path | None = None
+    """JSON file for the figures."""
+
+
+class Replay:
+    """One ``mujoco.rollout`` call that repeats the motions of given action sequences."""
+
+    def __init__(self, dynamics: Dynamics, state: np.ndarray, actions: np.ndarray, n_threads: int) -> None:
+        data = mujoco.MjData(dynamics.model)
+        simulation = dynamics.bind(data)
+        controls = dynamics.control(actions)
+        # What the simulator received during each step: ctrl and mocap pose.
+        received = np.empty((*actions.shape[:2], mujoco.mj_stateSize(dynamics.model, HELD)))
+        for sample, sequence in enumerate(controls):
+            simulation.restore(state)
+            for step, control in enumerate(sequence):
+                simulation.step(control)
+                mujoco.mj_getState(dynamics.model, data, received[sample, step], HELD)
+        self._controls = np.repeat(received, dynamics.substeps, axis=1)
+        self._raw = RawRollout(dynamics, n_threads, state, *actions.shape[:2])
+
+    def __call__(self) -> None:
+        """Simulate."""
+        self._raw(self._controls)
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+        self._raw.close()
+
+
+def clocked(job: Any) -> tuple[float, float]:
+    """Wall and CPU seconds of one call."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    job()
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def measure_plan(options: SpeedOptions) -> dict[str, Any]:
+    """Paired ratios of plan, replay and raw."""
+    session = Session.open(
+        "mppi",
+        OPTIONS["mppi"](env=options.env, samples=options.samples, horizon=options.horizon, threads=options.threads),
+    )
+    world, controller = session.env.unwrapped, session.controller
+    n_threads = controller.engine.n_threads
+    table: dict[str, list[tuple[float, float]]] = {"plan": [], "replay": [], "raw": []}
+    observation, _ = session.env.reset(seed=0)
+    simulate = controller.engine.rollout
+    for _ in range(options.rounds):
+        state = get_state(world.model, world.data)
+        raw = RawRollout(world.dynamics, n_threads, state, options.samples, options.horizon)
+        raw()  # first call: allocation
+        table["raw"].append(clocked(raw))
+        tried: list[np.ndarray] = []
+        controller.engine.rollout = lambda s, a: (tried.append(a), simulate(s, a))[1]  # noqa: B023
+        plans: list[Plan] = []
+        table["plan"].append(clocked(lambda: plans.append(controller.plan_from(state, observation))))  # noqa: B023
+        replay = Replay(world.dynamics, state, tried[0], n_threads)
+        replay()
+        table["replay"].append(clocked(replay))
+        replay.close()
+        raw.close()
+        observation, *_ = session.env.step(plans[0].action)
+    times = {name: np.array(rows) for name, rows in table.items()}
+    session.close()
+    return {
+        "plan_over_replay_cpu": float(np.median(times["replay"][:, 1] / times["plan"][:, 1])),
+        "plan_over_replay_wall": float(np.median(times["replay"][:, 0] / times["plan"][:, 0])),
+        "plan_over_raw_cpu": float(np.median(times["raw"][:, 1] / times["plan"][:, 1])),
+        "plan_over_raw_wall": float(np.median(times["raw"][:, 0] / times["plan"][:, 0])),
+        "plan_ms": 1e3 * float(np.median(times["plan"][:, 0])),
+        "control_steps_per_second": options.samples * options.horizon / float(np.median(times["plan"][:, 0])),
+    }
+
+
+class StockStep(FetchReachEnv):
+    """The same model stepped by gymnasium-robotics' own code."""
+
+    step = MujocoFetchEnv.step
+    _get_obs = MujocoFetchEnv._get_obs
+
+
+def measure_collection(env_name: str, rounds: int) -> dict[str, float]:
+    """CPU time per step: stock step, ours on the same model, ours with the filtered arm."""
+    envs = {
+        "stock": StockStep(arm_self_collision=True),
+        "ours_same_model": FetchReachEnv(arm_self_collision=True),
+        "ours": tasks.make(env_name).unwrapped,
+    }
+    actions = np.random.default_rng(0).uniform(-1, 1, (50, 4)).astype(np.float32)
+    times: dict[str, list[float]] = {name: [] for name in envs}
+    for round_ in range(rounds):
+        for name, env in envs.items():
+            env.reset(seed=round_)
+            start = time.process_time()
+            for action in actions:
+                env.step(action)
+            times[name].append(time.process_time() - start)
+    stock = np.array(times["stock"])
+    return {
+        "collection_speedup_same_model": float(np.median(stock / times["ours_same_model"])),
+        "collection_speedup": float(np.median(stock / times["ours"])),
+    }
+
+
+def main() -> int:
+    """Measure, print, optionally write JSON."""
+    options = tyro.cli(SpeedOptions, prog="python -m benchmarks.rollout_speed")
+    figures: dict[str, Any] = {
+        "env": tasks.canonical_name(options.env),
+        "samples": options.samples,
+        "horizon": options.horizon,
+        "threads": options.threads or os.cpu_count(),
+        "mujoco": mujoco.__version__,
+        "gymnasium": gymnasium.__version__,
+        "revision": git_revision(),
+        **measure_plan(options),
+    }
+    if figures["env"].startswith("fetch"):
+        figures |= measure_collection(options.env, options.rounds)
+    for name, value in figures.items():
+        print(f"{name:32s} {value:.3f}" if isinstance(value, float) else f"{name:32s} {value}")
+    if options.out is not None:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(options.out, (json.dumps(figures, indent=2) + "\n").encode())
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)
+    sys.exit(0)

@@ -1,0 +1,143 @@
+"""What a planning command leaves behind: live lines, a table, JSON, CSV and a plot."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import binomtest
+
+from napsp.checkpoint import write_atomically
+from planners.session import EpisodeResult, Session
+
+
+def wilson_interval(successes: int, n: int) -> tuple[float, float]:
+    """95 % Wilson score interval of a success rate."""
+    interval = binomtest(successes, n).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+class Report:
+    """Collects episodes, speaks while they run, writes the output folder at the end."""
+
+    def __init__(self, folder: Path, session: Session) -> None:
+        self._folder, self._session = folder, session
+        self._results: list[EpisodeResult] = []
+        self._notes: list[str] = []
+        self._console = Console()
+
+    def announce(self) -> None:
+        """Say what is about to run."""
+        options, model = self._session.options, self._session.model
+        source = f"d trained for {model.header['episodes']} episodes" if model else "no checkpoint"
+        self._console.print(
+            f"{self._session.env_name}: {self._session.planner}, cost {options.cost} ({options.where}), "
+            f"{options.samples} samples x {self._session.horizon} steps, {source}",
+            highlight=False,
+        )
+
+    def note(self, text: str) -> None:
+        """Keep a line for the end of the report."""
+        self._notes.append(text)
+
+    def add(self, result: EpisodeResult) -> None:
+        """Record an episode and print its line."""
+        self._results.append(result)
+        n, total = len(self._results), self._session.options.episodes
+        hit = f"first hit after {result.first_hit:3d} steps" if result.first_hit else "never at the goal      "
+        left = np.mean([r.seconds for r in self._results]) * (total - n)
+        self._console.print(
+            f"  episode {n:3d}/{total}  {'success' if result.success else 'FAILURE'}  {hit}  "
+            f"final gap {100 * result.final_gap:5.1f} cm  {np.median(result.plan_ms):6.1f} ms/plan  {left:4.0f} s left",
+            highlight=False,
+        )
+
+    def finish(self, raw_speed_fraction: float) -> None:
+        """Write summary.json, episodes.csv and the plot; print the table."""
+        summary = self.summary(raw_speed_fraction)
+        write_atomically(self._folder / "summary.json", (json.dumps(summary, indent=2) + "\n").encode())
+        write_atomically(self._folder / "episodes.csv", self._csv().encode())
+        plot_distance_to_go(self._folder / "distance_to_go.png", self._session, self._results)
+        self._print(summary)
+
+    def summary(self, raw_speed_fraction: float) -> dict[str, Any]:
+        """The content of summary.json."""
+        results, n = self._results, len(self._results)
+        hits = [r.first_hit for r in results if r.first_hit is not None]
+        successes = sum(r.success for r in results)
+        plan_ms = np.concatenate([r.plan_ms for r in results])
+        return {
+            **self._session.summary(),
+            "episodes": n,
+            "success_rate": successes / n,
+            "success_interval_95": wilson_interval(successes, n),
+            "any_success_rate": len(hits) / n,
+            "any_success_interval_95": wilson_interval(len(hits), n),
+            "mean_steps_to_goal": float(np.mean(hits)) if hits else None,
+            "median_steps_to_goal": float(np.median(hits)) if hits else None,
+            "plan_ms_median": float(np.median(plan_ms)),
+            "plan_ms_p95": float(np.percentile(plan_ms, 95)),
+            "raw_speed_fraction": raw_speed_fraction,
+        }
+
+    def _csv(self) -> str:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["seed", "success", "any_success", "first_hit", "final_gap_m", "plan_ms_median", "seconds"])
+        for r in self._results:
+            hit = "" if r.first_hit is None else r.first_hit
+            writer.writerow(
+                [r.seed, int(r.success), int(r.first_hit is not None), hit, f"{r.final_gap:.5f}",
+                 f"{np.median(r.plan_ms):.2f}", f"{r.seconds:.2f}"]
+            )  # fmt: skip
+        return text.getvalue()
+
+    def _print(self, summary: dict[str, Any]) -> None:
+        table = Table(title=f"{summary['planner']} on {summary['env']}, cost {summary['cost']}")
+        for column in ("success", "at goal in some step", "steps to goal", "ms per plan", "of raw simulator speed"):
+            table.add_column(column, justify="right")
+        steps = summary["mean_steps_to_goal"]
+        table.add_row(
+            _with_interval(summary["success_rate"], summary["success_interval_95"]),
+            _with_interval(summary["any_success_rate"], summary["any_success_interval_95"]),
+            "-" if steps is None else f"{steps:.1f}",
+            f"{summary['plan_ms_median']:.1f}",
+            f"{summary['raw_speed_fraction']:.2f}",
+        )
+        self._console.print(table)
+        for line in self._notes:
+            self._console.print(line, highlight=False)
+        self._console.print(f"results: {self._folder}/summary.json, episodes.csv, distance_to_go.png", highlight=False)
+
+
+def _with_interval(rate: float, interval: tuple[float, float]) -> str:
+    return f"{rate:.2f} [{interval[0]:.2f}, {interval[1]:.2f}]"
+
+
+def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResult]) -> None:
+    """Draw the cost's steps to go and the straight-line gap over the steps of each episode."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
+    for result in results:
+        color = "tab:blue" if result.success else "tab:red"
+        steps = np.arange(1, len(result.gaps) + 1)
+        left.plot(steps, result.to_go, color=color, alpha=0.5, linewidth=1)
+        right.plot(steps, result.gaps, color=color, alpha=0.5, linewidth=1)
+    left.set(xlabel="control step", ylabel="steps to go", title=f"cost: {session.options.cost}")
+    right.set(xlabel="control step", ylabel="gap to the goal [m]", title="blue: success, red: failure")
+    right.axhline(session.env.unwrapped.distance_threshold, color="black", linestyle=":", linewidth=1)
+    for axis in (left, right):
+        axis.set_ylim(bottom=0)
+    figure.suptitle(f"{session.env_name}, {session.planner}, {len(results)} episodes")
+    figure.savefig(path, dpi=130)
+    plt.close(figure)

@@ -1,0 +1,180 @@
+"""One planning session: environment, model, controller, and the episodes they run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from mpc.controller import Controller, Plan, Planner
+from mpc.cost import Cost, EuclideanSteps, LearnedSteps, NoSteps, StepsToGo
+from mpc.rollout import RolloutEngine
+from mpc.speed import raw_speed_fraction
+from napsp import envs as tasks
+from napsp.checkpoint import Model, git_revision, load_model, shipped_model
+from napsp.envs.dynamics import get_state
+from napsp.episodes import greedy_actor
+from napsp.errors import UserError
+from planners.cli import HORIZONS, PlanOptions
+from planners.mppi import MPPI
+from planners.video import Video
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """One planned episode.
+
+    Attributes:
+        seed: seed of start and goal.
+        success: at the goal in the last step.
+        first_hit: control steps until the goal was first reached; None if never.
+        final_gap: straight-line gap to the goal at the end, metres.
+        to_go: the cost's estimate of steps to go at each state, ``(T,)``.
+        gaps: straight-line gap at each state, metres, ``(T,)``.
+        plan_ms: milliseconds of each plan call, ``(T,)``.
+        seconds: wall time of the episode.
+    """
+
+    seed: int
+    success: bool
+    first_hit: int | None
+    final_gap: float
+    to_go: list[float]
+    gaps: list[float]
+    plan_ms: list[float]
+    seconds: float
+
+
+class Session:
+    """Everything a planning command needs, built from its options."""
+
+    def __init__(
+        self, planner: str, options: PlanOptions, env: Any, env_name: str, controller: Controller, model: Model | None
+    ) -> None:
+        self.planner, self.options = planner, options
+        self.env, self.env_name = env, env_name
+        self.controller, self.model = controller, model
+        self.horizon = controller.horizon
+        self._last_observation: dict[str, np.ndarray] = {}
+
+    @classmethod
+    def open(cls, planner: str, options: PlanOptions) -> Session:
+        """Build the session.
+
+        Raises:
+            UserError: unknown environment, unusable checkpoint, impossible sizes.
+        """
+        env_name = tasks.canonical_name(options.env)
+        needs_model = options.cost == "distance" or options.proposals
+        model = load_model(options.checkpoint or shipped_model(env_name), env_name) if needs_model else None
+        if options.cost == "distance" and model is not None and model.distance is None:
+            raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
+        env = tasks.make(env_name)
+        world = env.unwrapped
+        horizon = options.horizon or HORIZONS[env_name]
+        if options.knots is not None and options.knots > horizon:
+            raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
+        cost = Cost(_steps_to_go(options, model, world), world.reached, options.where, _action_of(options))
+        controller = Controller(
+            RolloutEngine(world.dynamics, options.threads),
+            make_planner(planner, options, options.knots or horizon, env.action_space.shape[0]),
+            cost,
+            horizon,
+            np.random.default_rng(options.seed),
+            options.knots,
+            options.interpolation,
+            options.refinements,
+            greedy_actor(model.policy) if options.proposals and model else None,
+        )
+        return cls(planner, options, env, env_name, controller, model)
+
+    def run_episode(self, seed: int, video: Video | None = None) -> EpisodeResult:
+        """Plan one full episode; it goes on after the goal is reached, to see whether it holds."""
+        started = time.monotonic()
+        observation, _ = self.env.reset(seed=seed)
+        self.controller.reset()
+        world, goal = self.env.unwrapped, observation["desired_goal"]
+        first_hit, success = None, False
+        to_go: list[float] = []
+        gaps: list[float] = []
+        plan_ms: list[float] = []
+        for step in range(tasks.episode_length(self.env_name)):
+            plan = self.controller.plan(world, observation)
+            if video is not None:
+                video.frame(goal, plan)
+            plan_ms.append(plan.milliseconds)
+            observation, _, _, _, info = self.env.step(plan.action)
+            success = bool(info["is_success"])
+            first_hit = step + 1 if success and first_hit is None else first_hit
+            to_go.append(self._to_go(observation, plan))
+            gaps.append(float(np.linalg.norm(observation["achieved_goal"] - goal)))
+        self._last_observation = observation
+        seconds = time.monotonic() - started
+        return EpisodeResult(seed, success, first_hit, gaps[-1], to_go, gaps, plan_ms, seconds)
+
+    def _to_go(self, observation: dict[str, np.ndarray], plan: Plan) -> float:
+        cost = self.controller.cost
+        following = plan.actions[min(1, len(plan.actions) - 1)][None] if cost.action_of == "plan" else None
+        rows = observation["observation"][None], observation["achieved_goal"][None]
+        return float(cost.to_go(*rows, following, observation["desired_goal"])[0])
+
+    def raw_speed_fraction(self) -> float:
+        """Simulated steps per second of a plan call over those of a bare ``mujoco.rollout``."""
+        world = self.env.unwrapped
+        state = get_state(world.model, world.data)
+        return raw_speed_fraction(
+            self.controller.engine,
+            lambda: self.controller.plan_from(state, self._last_observation),
+            state,
+            self.options.samples * self.options.refinements,
+            max(1, self.controller.cost.simulated_steps(self.horizon)),
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """What identifies the session, for ``summary.json``."""
+        config = {k: str(v) if hasattr(v, "__fspath__") else v for k, v in asdict(self.options).items()}
+        config |= {"env": self.env_name, "horizon": self.horizon}
+        asked = {k: v for k, v in config.items() if k not in ("seed", "out", "video", "video_episodes", "threads")}
+        digest = hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
+        return {
+            "env": self.env_name,
+            "planner": self.planner,
+            "cost": self.options.cost,
+            "seed": self.options.seed,
+            "config": config,
+            "config_hash": digest,
+            "revision": git_revision(),
+            "checkpoint": self.model.header if self.model else None,
+        }
+
+    def close(self) -> None:
+        """Stop threads and release the environment."""
+        self.controller.engine.close()
+        self.env.close()
+
+
+def make_planner(name: str, options: Any, n_knots: int, n_controls: int) -> Planner:
+    """The search algorithm of a command."""
+    del name  # one so far
+    return MPPI(
+        n_knots,
+        n_controls,
+        options.samples,
+        options.noise_scale,
+        options.noise_correlation,
+        options.temperature,
+    )
+
+
+def _steps_to_go(options: PlanOptions, model: Model | None, world: Any) -> StepsToGo:
+    if options.cost == "distance" and model is not None:
+        return LearnedSteps(model)
+    return EuclideanSteps(world.step_length) if options.cost == "euclidean" else NoSteps()
+
+
+def _action_of(options: PlanOptions) -> Any:
+    return options.action_of if options.cost == "distance" else "policy"

@@ -1,0 +1,114 @@
+"""A video of planned episodes: the scene, the goal, and the sampled plans fanned out by cost."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import imageio_ffmpeg
+import mujoco
+import numpy as np
+
+from mpc.controller import Plan
+
+WIDTH, HEIGHT, FRAMES_PER_SECOND = 640, 480, 12
+SHOWN_PLANS = 24
+GOAL_COLOR = (0.1, 0.75, 0.2, 0.9)
+
+
+class Video:
+    """Writes frames to an MP4; without a working GL library it stays silent and says so once."""
+
+    def __init__(self, path: Path, world: Any) -> None:
+        self._path, self._world = path, world
+        self._writer: Any = None
+        self._problem: str | None = None
+        # Rendering must not touch the planner's world: everything here is a copy.
+        self._model = copy.copy(world.model)
+        self._data = mujoco.MjData(self._model)
+        self._hide_markers()
+        try:
+            self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
+        except Exception as error:
+            self._renderer = None
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            self._problem = f"no video: no off-screen OpenGL here ({reason}); install libosmesa6 or libegl1"
+        self._camera = self._make_camera()
+
+    def _hide_markers(self) -> None:
+        for geom in range(self._model.ngeom):
+            if self._model.body_mocapid[self._model.geom_bodyid[geom]] >= 0:
+                self._model.geom_rgba[geom, 3] = 0.0  # Fetch draws its mocap anchor as a large cross
+        self._model.site_rgba[:, 3] = 0.0
+
+    def _make_camera(self) -> Any:
+        if mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, "top") >= 0:
+            return "top"
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = (1.25, 0.78, 0.5)
+        camera.distance, camera.azimuth, camera.elevation = 1.75, 150.0, -22.0
+        return camera
+
+    def frame(self, goal: np.ndarray, plan: Plan) -> None:
+        """Draw the world as it is before the plan's action is executed."""
+        if self._renderer is None:
+            return
+        state = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        values = np.empty(mujoco.mj_stateSize(self._model, state))
+        mujoco.mj_getState(self._world.model, self._world.data, values, state)
+        mujoco.mj_setState(self._model, self._data, values, state)
+        mujoco.mj_forward(self._model, self._data)
+        self._renderer.update_scene(self._data, self._camera)
+        radius = self._world.distance_threshold
+        self._sphere(self._world.goal_positions(goal), 0.35 * radius, GOAL_COLOR)
+        self._sphere(self._world.goal_positions(goal), radius, (*GOAL_COLOR[:3], 0.15))
+        self._draw_plans(plan)
+        if self._writer is None:
+            self._writer = imageio_ffmpeg.write_frames(
+                str(self._path), (WIDTH, HEIGHT), fps=FRAMES_PER_SECOND, macro_block_size=16, ffmpeg_log_level="error"
+            )
+            self._writer.send(None)
+        self._writer.send(np.ascontiguousarray(self._renderer.render()))
+
+    def _draw_plans(self, plan: Plan) -> None:
+        finite = np.flatnonzero(np.isfinite(plan.costs))
+        order = finite[np.argsort(plan.costs[finite])][:SHOWN_PLANS]
+        for rank in range(len(order) - 1, -1, -1):  # the best on top
+            badness = rank / max(1, len(order) - 1)
+            color = (0.15 + 0.8 * badness, 0.35, 0.95 - 0.75 * badness, 0.9 - 0.6 * badness)
+            points = self._world.goal_positions(plan.trajectories.achieved_goals[order[rank]])
+            for start, end in zip(points[:-1], points[1:], strict=True):
+                self._segment(start, end, 0.003 if rank else 0.006, color)
+
+    def _sphere(self, position: np.ndarray, radius: float, color: tuple[float, ...]) -> None:
+        geom = self._next_geom()
+        if geom is not None:
+            kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, np.array([radius, 0.0, 0.0])
+            mujoco.mjv_initGeom(
+                geom, kind, size, position.astype(float), np.eye(3).ravel(), np.array(color, np.float32)
+            )
+
+    def _segment(self, start: np.ndarray, end: np.ndarray, width: float, color: tuple[float, ...]) -> None:
+        geom = self._next_geom()
+        if geom is not None:
+            kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+            zeros = np.zeros(3)
+            mujoco.mjv_initGeom(geom, kind, zeros, zeros, np.eye(3).ravel(), np.array(color, np.float32))
+            mujoco.mjv_connector(geom, kind, width, start.astype(float), end.astype(float))
+
+    def _next_geom(self) -> Any:
+        scene = self._renderer.scene
+        if scene.ngeom >= scene.maxgeom:
+            return None
+        scene.ngeom += 1
+        return scene.geoms[scene.ngeom - 1]
+
+    def close(self) -> str:
+        """Finish the file; return the line to show the user."""
+        if self._renderer is not None:
+            self._renderer.close()
+        if self._writer is not None:
+            self._writer.close()
+            return f"video: {self._path}"
+        return self._problem or "no video: no frames"
