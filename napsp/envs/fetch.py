@@ -22,7 +22,10 @@ GRIPPER_BODIES = ("robot0:gripper_link", "robot0:r_gripper_finger_link", "robot0
 LOWER_ARM_BODIES = tuple(
     f"robot0:{link}_link" for link in ("upperarm_roll", "elbow_flex", "forearm_roll", "wrist_flex", "wrist_roll")
 )
-ARM_BIT = 2  # arm links collide with what lists this bit: table and wall, never each other
+BASE_BODIES = tuple(f"robot0:{link}_link" for link in ("base", "torso_lift", "torso_fixed", "laser", "estop"))
+# Collision bits besides MuJoCo's default 1, which gripper, fingers, table and wall share.
+ARM_BIT = 2  # lower arm: meets table and wall
+BASE_BIT = 4  # base and torso: meet the gripper
 
 
 class FetchReachSimulation:
@@ -197,7 +200,7 @@ class FetchReachWallEnv(FetchReachEnv):
     arm finds a way without lifting. Over the top is the only way.
     """
 
-    WALL_Y, WALL_HALF_THICKNESS, WALL_X = 0.75, 0.02, (0.85, 1.80)
+    WALL_Y, WALL_HALF_THICKNESS, WALL_X = 0.75, 0.02, (0.70, 1.80)
     TABLE_TOP = 0.40
     START_GRIP = np.array([1.34, 0.60, 0.45])
     GOAL_LOW = np.array([1.20, 0.85, 0.42])  # "on the ground": at most 2 cm above the lowest
@@ -209,11 +212,12 @@ class FetchReachWallEnv(FetchReachEnv):
 
     def _add_obstacles(self, spec: mujoco.MjSpec) -> None:
         near, far = self.WALL_X
+        top = self.TABLE_TOP + self.wall_height  # down to the floor: beside the table nothing else is in the way
         spec.worldbody.add_geom(
             name="wall",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[(near + far) / 2, self.WALL_Y, self.TABLE_TOP + self.wall_height / 2],
-            size=[(far - near) / 2, self.WALL_HALF_THICKNESS, self.wall_height / 2],
+            pos=[(near + far) / 2, self.WALL_Y, top / 2],
+            size=[(far - near) / 2, self.WALL_HALF_THICKNESS, top / 2],
             solref=[0.01, 1.0],  # twice as stiff as the default: half the penetration
             rgba=[0.55, 0.27, 0.22, 0.8],
         )
@@ -234,11 +238,14 @@ class FetchReachWallEnv(FetchReachEnv):
 
 
 def filter_collisions(spec: mujoco.MjSpec) -> None:
-    """Switch off robot self-collision; keep the arm solid against table and wall.
+    """Switch off arm self-collision; keep arm and gripper solid against table, wall and base.
 
     A pair is tested when ``contype & conaffinity`` overlap in either direction. Gripper and
-    fingers keep bit 1 and meet the world; the lower arm has only bit 2, which table and
-    wall list in their affinity; base, torso and head collide with nothing they could reach.
+    fingers meet everything but the arm; the lower arm meets table and wall; base and torso
+    meet the gripper only, so that it cannot slip past the wall through the robot.
+
+    The gripper's collision mesh becomes the box fitted to it: contact between two boxes costs
+    half of what mesh against box costs, and a plan that leans on the wall is all contact.
     """
     gripper = spec.body("robot0:gripper_link")
     hull = gripper.first_geom()
@@ -247,10 +254,14 @@ def filter_collisions(spec: mujoco.MjSpec) -> None:
     hull.group = 3  # not drawn
     for body in spec.bodies:
         for geom in body.geoms:
-            if body.name in GRIPPER_BODIES or not (geom.contype or geom.conaffinity):
+            if not (geom.contype or geom.conaffinity):
                 continue
-            if body.name in LOWER_ARM_BODIES:
+            if body.name in GRIPPER_BODIES:
+                geom.conaffinity = 1 | BASE_BIT
+            elif body.name in LOWER_ARM_BODIES:
                 geom.contype, geom.conaffinity = ARM_BIT, 0
+            elif body.name in BASE_BODIES:
+                geom.contype, geom.conaffinity = BASE_BIT, 0
             elif body.name.startswith("robot0:"):
                 geom.contype, geom.conaffinity = 0, 0
             elif body.name == "table0" or geom.name == "wall":

@@ -1,0 +1,26 @@
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+from planners.gl import choose_gl
+
+choose_gl()  # before mujoco is imported anywhere
+
+import pytest
+import torch
+
+torch.set_num_threads(1)
+
+from napsp import envs
+
+TASKS = ("point_maze", "point_maze_long", "fetch_reach", "fetch_wall")
+
+
+@pytest.fixture(scope="session")
+def worlds():
+    """One unwrapped environment per task, shared by all tests that reset before use."""
+    made = {name: envs.make(name).unwrapped for name in TASKS}
+    yield made
+    for world in made.values():
+        world.close()

@@ -1,0 +1,158 @@
+"""The tasks keep Gymnasium's rules, equal stock Fetch, and their walls are walls."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from conftest import TASKS
+from gymnasium.utils.env_checker import check_env
+
+from napsp import envs
+from napsp.envs.fetch import FetchReachEnv, FetchReachWallEnv
+from napsp.errors import UserError
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_gymnasium_checker(name):
+    with warnings.catch_warnings():
+        # The checker advises against unbounded spaces; gymnasium-robotics' own are unbounded.
+        warnings.filterwarnings("ignore", message=".*(infinity|-inf|render).*")
+        check_env(envs.make(name).unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_goal_env_api(name, worlds):
+    world = worlds[name]
+    observation, _ = world.reset(seed=1)
+    action = np.ones(world.action_space.shape, np.float32)
+    following, reward, terminated, truncated, info = world.step(action)
+    assert not terminated and not truncated
+    assert set(observation) == {"observation", "achieved_goal", "desired_goal"}
+    achieved = np.stack([following["achieved_goal"], following["desired_goal"]])
+    goals = np.stack([following["desired_goal"]] * 2)
+    rewards = world.compute_reward(achieved, goals, [{}, {}])
+    assert rewards.shape == (2,) and rewards[1] == 0.0
+    assert rewards[0] == reward and (reward == 0) == info["is_success"]
+
+
+def test_time_limit_truncates():
+    env = envs.make("fetch_wall")
+    env.reset(seed=0)
+    ends = [env.step(env.action_space.sample())[2:4] for _ in range(50)]
+    assert ends == [(False, False)] * 49 + [(False, True)]
+    env.close()
+
+
+def test_names():
+    assert envs.canonical_name("fetch_reach_wall") == envs.canonical_name("napsp/FetchReachWall-v0") == "fetch_wall"
+    with pytest.raises(UserError, match=r"unknown environment 'nope'; choose one of: point_maze"):
+        envs.make("nope")
+
+
+def test_same_seed_same_episode(worlds):
+    for world in worlds.values():
+        runs = []
+        for _ in range(2):
+            rng = np.random.default_rng(0)
+            observation, _ = world.reset(seed=5)
+            rows = [observation["observation"]]
+            for _ in range(10):
+                rows.append(world.step(rng.uniform(-1, 1, world.action_space.shape))[0]["observation"])
+            runs.append(np.array(rows))
+        np.testing.assert_array_equal(*runs)
+
+
+def test_equals_stock_fetch_reach_bit_for_bit():
+    """With stock collisions our step is gymnasium-robotics' step, to the last bit of the state."""
+    import gymnasium_robotics
+
+    gymnasium.register_envs(gymnasium_robotics)
+    stock, ours = gymnasium.make("FetchReach-v4").unwrapped, FetchReachEnv(arm_self_collision=True)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        first, second = stock.reset(seed=seed)[0], ours.reset(seed=seed)[0]
+        for _ in range(40):
+            for key in first:
+                np.testing.assert_allclose(first[key], second[key], rtol=0, atol=1e-15)
+            np.testing.assert_array_equal(stock.data.qpos, ours.data.qpos)
+            np.testing.assert_array_equal(stock.data.qvel, ours.data.qvel)
+            action = rng.uniform(-1.5, 1.5, 4).astype(np.float32)
+            first, second = stock.step(action)[0], ours.step(action)[0]
+
+
+def test_rendering_does_not_change_the_dynamics(worlds):
+    plain = worlds["fetch_wall"]
+    drawn = FetchReachWallEnv(render_mode="rgb_array")
+    try:
+        drawn.reset(seed=0)
+        drawn.render()
+    except Exception as error:  # noqa: BLE001 - no GL library on this machine
+        pytest.skip(f"no off-screen OpenGL here: {error}")
+    plain.reset(seed=3), drawn.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        action = rng.uniform(-1, 1, 4).astype(np.float32)
+        plain.step(action), drawn.step(action)
+        drawn.render()
+        np.testing.assert_array_equal(plain.data.qpos, drawn.data.qpos)
+    drawn.close()
+
+
+def test_fetch_wall_is_solid_and_can_be_crossed_only_above(worlds):
+    world = worlds["fetch_wall"]
+    rng = np.random.default_rng(0)
+    for episode in range(6):  # full push into the wall with random sideways drift
+        world.reset(seed=episode)
+        drift = rng.uniform(-1, 1, 2)
+        for _ in range(60):
+            push = np.array([drift[0], 1.0, min(drift[1], 0.0), 0.0], np.float32)
+            grip = world.step(push)[0]["achieved_goal"]
+        assert grip[1] < world.WALL_Y, "the gripper went through the wall or around it"
+    observation, _ = world.reset(seed=0)
+    success = False
+    for t in range(50):  # up, across, down
+        grip, goal = observation["achieved_goal"], observation["desired_goal"]
+        over = np.array([grip[0], goal[1], 0.66]) if grip[1] < 0.83 else goal
+        target = grip + [0, 0, 0.1] if grip[1] < 0.7 and grip[2] < 0.64 else over
+        action = np.append(np.clip((target - grip) / 0.033, -1, 1), 0.0)
+        observation, _, _, _, info = world.step(action)
+        success |= info["is_success"]
+    assert success, "the scripted path over the wall no longer reaches the goal"
+
+
+def test_fetch_wall_start_and_goals(worlds):
+    world = worlds["fetch_wall"]
+    for seed in range(30):
+        observation, _ = world.reset(seed=seed)
+        assert observation["achieved_goal"][1] < world.WALL_Y - 0.1
+        goal = observation["desired_goal"]
+        assert goal[1] > world.WALL_Y + 0.09 and goal[2] <= 0.44
+
+
+@pytest.mark.parametrize("name", ["point_maze", "point_maze_long"])
+def test_maze_rooms_and_walls(name, worlds):
+    world = worlds[name]
+    for seed in range(10):
+        observation, _ = world.reset(seed=seed)
+        assert (observation["achieved_goal"] < 0).all() and (observation["desired_goal"] > 0).all()
+        for _ in range(80 * int(world.scale)):  # straight at the goal: stuck at the middle of the house
+            gap = observation["desired_goal"] - observation["achieved_goal"]
+            observation, _, _, _, info = world.step(np.clip(gap * 10, -1, 1))
+        assert not info["is_success"]
+        assert (np.abs(observation["achieved_goal"]) < world.scale).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+def test_stable_baselines3_trains_with_her(name):
+    from stable_baselines3 import SAC, HerReplayBuffer
+
+    env = envs.make(name)
+    model = SAC(
+        "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=150, batch_size=32, seed=0
+    )
+    model.learn(220)
+    assert model.num_timesteps == 220
+    env.close()

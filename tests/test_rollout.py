@@ -1,0 +1,185 @@
+"""Planned and executed trajectories are the same numbers, to the last bit."""
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import TASKS
+
+from mpc.rollout import RolloutEngine
+from napsp.envs.dynamics import INTEGRATION_STATE, get_state
+from napsp.envs.fetch import FetchReachSimulation
+
+STEPS = 25
+
+
+def start_episode(world, seed, contact):
+    """Reset and move a little; the contact-rich kind leans on table, wall or maze walls."""
+    rng = np.random.default_rng(seed)
+    world.reset(seed=seed)
+    shape = (STEPS, *world.action_space.shape)
+    actions = rng.uniform(-1, 1, shape).astype(np.float32)
+    if contact:
+        push = np.zeros(shape[1:], np.float32)
+        push[: min(3, len(push))] = [0.2, 0.7, -1.0][: min(3, len(push))]
+        actions = 0.3 * actions + push
+        for _ in range(12):
+            world.step(push)
+    return actions.astype(np.float32)
+
+
+def execute(world, actions):
+    rows = [world.step(action)[0] for action in actions]
+    return tuple(np.array([row[key] for row in rows]) for key in ("observation", "achieved_goal"))
+
+
+def final_state(engine, worker):
+    data = engine._datas[worker]
+    return np.concatenate([data.qpos, data.qvel])
+
+
+def largest_error(world, engine, seeds, contact):
+    worst, contacts = 0.0, 0
+    for seed in seeds:
+        actions = start_episode(world, seed, contact)
+        batch = np.stack([actions[::-1], actions])
+        state = get_state(world.model, world.data)
+        trajectories = engine.rollout(state, batch)
+        assert not trajectories.diverged.any()
+        observations, achieved = execute(world, actions)
+        contacts += world.data.ncon
+        worst = max(
+            worst,
+            np.abs(observations - trajectories.observations[1]).max(),
+            np.abs(achieved - trajectories.achieved_goals[1]).max(),
+        )
+        if not world.dynamics.open_loop:  # sample 1 is the last one of worker 1
+            executed = np.concatenate([world.data.qpos, world.data.qvel])
+            worst = max(worst, np.abs(executed - final_state(engine, 1)).max())
+    return worst, contacts
+
+
+@pytest.mark.parametrize("contact", [False, True], ids=["random", "contact"])
+@pytest.mark.parametrize("name", TASKS)
+def test_rollout_equals_step(name, contact, worlds):
+    with RolloutEngine(worlds[name].dynamics, n_threads=2) as engine:
+        worst, contacts = largest_error(worlds[name], engine, range(20), contact)
+    assert worst == 0.0
+    assert not contact or contacts >= 10, "the contact-rich episodes touch nothing"
+
+
+class WithoutWarmStart(FetchReachSimulation):
+    def restore(self, state):
+        super().restore(state)
+        self._data.qacc_warmstart[:] = 0.0
+
+
+class WithoutFingerReset(FetchReachSimulation):
+    def close_fingers(self):
+        pass
+
+
+class WithoutMocapAnchor(FetchReachSimulation):
+    """Accumulates displacements on the mocap's own pose instead of the gripper's."""
+
+    def step(self, control):
+        anchor, self._anchor = self._anchor, self._target.copy()
+        super().step(control)
+        self._anchor = anchor
+
+
+class WithoutMocapRotation(FetchReachSimulation):
+    def step(self, control):
+        rotation, self._rotation = self._rotation, np.array([1.0, 0.0, 0.0, 0.0])
+        super().step(control)
+        self._rotation = rotation
+
+
+@pytest.mark.parametrize(
+    "broken", [WithoutWarmStart, WithoutFingerReset, WithoutMocapAnchor, WithoutMocapRotation]
+)
+def test_the_comparison_notices_missing_state(broken, worlds, monkeypatch):
+    world = worlds["fetch_wall"]
+    monkeypatch.setattr(type(world.dynamics), "bind", lambda self, data: broken(self, data))
+    engine = RolloutEngine(world.dynamics, n_threads=2)
+    monkeypatch.undo()
+    with engine:
+        assert largest_error(world, engine, range(4), contact=True)[0] > 0.0
+
+
+def test_missing_warm_start_is_noticed_in_the_maze(worlds):
+    world = worlds["point_maze"]
+    worst = 0.0
+    with RolloutEngine(world.dynamics, n_threads=2) as engine:
+        for seed in range(20):
+            actions = start_episode(world, seed, contact=True)
+            state = get_state(world.model, world.data)
+            data = mujoco.MjData(world.model)
+            mujoco.mj_setState(world.model, data, state, INTEGRATION_STATE)
+            data.qacc_warmstart[:] = 0.0
+            trajectories = engine.rollout(get_state(world.model, data), actions[None])
+            worst = max(worst, np.abs(execute(world, actions)[0] - trajectories.observations[0]).max())
+    assert worst > 0.0
+
+
+@pytest.mark.parametrize("name", ["point_maze", "fetch_wall"])
+def test_results_do_not_depend_on_threads(name, worlds):
+    world = worlds[name]
+    world.reset(seed=0)
+    state = get_state(world.model, world.data)
+    actions = np.random.default_rng(0).uniform(-1, 1, (7, 10, world.action_space.shape[0])).astype(np.float32)
+    results = []
+    for n_threads in (1, 2, 3):
+        with RolloutEngine(world.dynamics, n_threads) as engine:
+            results.append(engine.rollout(state, actions).observations)
+    np.testing.assert_array_equal(results[0], results[1])
+    np.testing.assert_array_equal(results[0], results[2])
+
+
+class Explosive:
+    """One slide joint that blows up under a large force."""
+
+    open_loop, substeps, n_features = True, 5, 2
+
+    def __init__(self, open_loop):
+        self.open_loop = open_loop
+        self.model = mujoco.MjModel.from_xml_string("""
+            <mujoco><option timestep="0.01" integrator="Euler"/><worldbody><body>
+            <joint name="x" type="slide"/><geom size="0.1" mass="1e-4"/></body></worldbody>
+            <actuator><motor joint="x" gear="1e9"/></actuator></mujoco>""")
+
+    def bind(self, data):
+        return Bound(self, data)
+
+    def control(self, actions):
+        return np.asarray(actions, np.float64)
+
+    def observe(self, features):
+        return features, features
+
+
+class Bound:
+    def __init__(self, dynamics, data):
+        self.model, self.data, self.substeps = dynamics.model, data, dynamics.substeps
+
+    def step(self, control):
+        self.data.ctrl[:] = control
+        mujoco.mj_step(self.model, self.data, self.substeps)
+
+    def record(self, features):
+        features[:] = self.data.qpos[0], self.data.qvel[0]
+
+    def restore(self, state):
+        mujoco.mj_setState(self.model, self.data, state, INTEGRATION_STATE)
+
+
+@pytest.mark.parametrize("open_loop", [True, False])
+def test_divergence_is_detected_although_mujoco_resets_to_finite_values(open_loop, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log into the working directory
+    dynamics = Explosive(open_loop)
+    data = mujoco.MjData(dynamics.model)
+    actions = np.zeros((3, 4, 1))
+    actions[1] = 1.0
+    with RolloutEngine(dynamics, 2) as engine:
+        trajectories = engine.rollout(get_state(dynamics.model, data), actions)
+    assert trajectories.diverged.tolist() == [False, True, False]
+    assert np.isfinite(trajectories.observations[:, -1]).all(), "a NaN test alone would have found nothing"
