@@ -25,6 +25,8 @@ class PlanOptions:
     """Episodes to run, on the seeds seed, seed + 1, ..."""
     seed: int = 0
     """Seed of tasks and of planning."""
+    goal: tuple[float, ...] | None = None
+    """One fixed goal for all episodes instead of the task's random ones, in metres."""
     cost: CostName = "distance"
     """Steps to go at a state: the learned distance, straight-line distance at full speed,
     or nothing (sparse: only reaching the goal within the horizon counts)."""

@@ -11,16 +11,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.stats import binomtest
 
 from napsp.checkpoint import write_atomically
+from napsp.statistics import describe, wilson_interval
 from planners.session import EpisodeResult, Session
-
-
-def wilson_interval(successes: int, n: int) -> tuple[float, float]:
-    """95 % Wilson score interval of a success rate."""
-    interval = binomtest(successes, n).proportion_ci(method="wilson")
-    return float(interval.low), float(interval.high)
 
 
 class Report:
@@ -30,7 +24,8 @@ class Report:
         self._folder, self._session = folder, session
         self._results: list[EpisodeResult] = []
         self._notes: list[str] = []
-        self._console = Console()
+        # A file or a pipe has no width; a fixed one keeps lines whole.
+        self._console = Console(width=None if Console().is_terminal else 110)
 
     def announce(self) -> None:
         """Say what is about to run."""
@@ -104,8 +99,8 @@ class Report:
             table.add_column(column, justify="right")
         steps = summary["mean_steps_to_goal"]
         table.add_row(
-            _with_interval(summary["success_rate"], summary["success_interval_95"]),
-            _with_interval(summary["any_success_rate"], summary["any_success_interval_95"]),
+            describe(summary["success_rate"], summary["success_interval_95"]),
+            describe(summary["any_success_rate"], summary["any_success_interval_95"]),
             "-" if steps is None else f"{steps:.1f}",
             f"{summary['plan_ms_median']:.1f}",
             f"{summary['raw_speed_fraction']:.2f}",
@@ -114,10 +109,6 @@ class Report:
         for line in self._notes:
             self._console.print(line, highlight=False)
         self._console.print(f"results: {self._folder}/summary.json, episodes.csv, distance_to_go.png", highlight=False)
-
-
-def _with_interval(rate: float, interval: tuple[float, float]) -> str:
-    return f"{rate:.2f} [{interval[0]:.2f}, {interval[1]:.2f}]"
 
 
 def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResult]) -> None:

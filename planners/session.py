@@ -78,6 +78,7 @@ class Session:
         horizon = options.horizon or HORIZONS[env_name]
         if options.knots is not None and options.knots > horizon:
             raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
+        _check_goal(options.goal, env)
         cost = Cost(_steps_to_go(options, model, world), world.reached, options.where, _action_of(options))
         controller = Controller(
             RolloutEngine(world.dynamics, options.threads),
@@ -97,7 +98,11 @@ class Session:
         started = time.monotonic()
         observation, _ = self.env.reset(seed=seed)
         self.controller.reset()
-        world, goal = self.env.unwrapped, observation["desired_goal"]
+        world = self.env.unwrapped
+        if self.options.goal is not None:
+            world.goal = np.array(self.options.goal)
+            observation["desired_goal"] = world.goal.copy()
+        goal = observation["desired_goal"]
         first_hit, success = None, False
         to_go: list[float] = []
         gaps: list[float] = []
@@ -168,6 +173,12 @@ def make_planner(name: str, options: Any, n_knots: int, n_controls: int) -> Plan
         options.noise_correlation,
         options.temperature,
     )
+
+
+def _check_goal(goal: tuple[float, ...] | None, env: Any) -> None:
+    size = env.observation_space["desired_goal"].shape[0]
+    if goal is not None and (len(goal) != size or not np.isfinite(goal).all()):
+        raise UserError(f"--goal {' '.join(map(str, goal))} does not fit; give {size} finite numbers (metres)")
 
 
 def _steps_to_go(options: PlanOptions, model: Model | None, world: Any) -> StepsToGo:

@@ -20,9 +20,9 @@ def start_episode(world, seed, contact):
     actions = rng.uniform(-1, 1, shape).astype(np.float32)
     if contact:
         push = np.zeros(shape[1:], np.float32)
-        push[: min(3, len(push))] = [0.2, 0.7, -1.0][: min(3, len(push))]
+        push[: min(3, len(push))] = [0.1, 0.5, -1.0][: min(3, len(push))]
         actions = 0.3 * actions + push
-        for _ in range(12):
+        for _ in range(15):
             world.step(push)
     return actions.astype(np.float32)
 
@@ -94,9 +94,7 @@ class WithoutMocapRotation(FetchReachSimulation):
         self._rotation = rotation
 
 
-@pytest.mark.parametrize(
-    "broken", [WithoutWarmStart, WithoutFingerReset, WithoutMocapAnchor, WithoutMocapRotation]
-)
+@pytest.mark.parametrize("broken", [WithoutWarmStart, WithoutFingerReset, WithoutMocapAnchor, WithoutMocapRotation])
 def test_the_comparison_notices_missing_state(broken, worlds, monkeypatch):
     world = worlds["fetch_wall"]
     monkeypatch.setattr(type(world.dynamics), "bind", lambda self, data: broken(self, data))

@@ -1,0 +1,75 @@
+"""Run a trained policy: ``python -m napsp.evaluate --env fetch_wall``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+
+from napsp import envs as tasks
+from napsp.checkpoint import load_model, shipped_model, write_atomically
+from napsp.episodes import evaluate, greedy_actor
+from napsp.errors import UserError, run_command
+from napsp.statistics import describe, wilson_interval
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Run the deterministic policy of a checkpoint."""
+
+    env: str = "fetch_wall"
+    """Task."""
+    checkpoint: Path | None = None
+    """A file or folder written by napsp.train; default: the one that ships with the package."""
+    episodes: int = 50
+    """Episodes, on the seeds seed, seed + 1, ..."""
+    seed: int = 0
+    """First seed."""
+    out: Path | None = None
+    """JSON file for the figures."""
+
+
+def main() -> int:
+    """Evaluate, print, optionally write JSON."""
+    options = tyro.cli(EvaluateOptions, prog="python -m napsp.evaluate")
+    if options.episodes < 1:
+        raise UserError(f"--episodes is {options.episodes}; it must be at least 1")
+    torch.set_num_threads(1)
+    env_name = tasks.canonical_name(options.env)
+    model = load_model(options.checkpoint or shipped_model(env_name), env_name)
+    env = tasks.make(env_name)
+    seeds = [options.seed + i for i in range(options.episodes)]
+    result, _ = evaluate([env], greedy_actor(model.policy), seeds, model.config.horizon)
+    env.close()
+    hits = result.first_hits[~np.isnan(result.first_hits)]
+    n = len(seeds)
+    figures = {
+        "env": env_name,
+        "planner": "policy",
+        "episodes": n,
+        "seed": options.seed,
+        "success_rate": result.success_rate,
+        "success_interval_95": wilson_interval(int(result.reached[:, -1].sum()), n),
+        "any_success_rate": result.any_success_rate,
+        "any_success_interval_95": wilson_interval(len(hits), n),
+        "mean_steps_to_goal": float(hits.mean()) if len(hits) else None,
+        "mean_final_gap_m": float(result.gaps[:, -1].mean()),
+        "checkpoint": model.header,
+    }
+    print(f"policy on {env_name}: success {describe(figures['success_rate'], figures['success_interval_95'])}, "
+          f"at goal in some step {describe(figures['any_success_rate'], figures['any_success_interval_95'])}, "
+          f"steps to goal {'-' if not len(hits) else f'{hits.mean():.1f}'}")  # fmt: skip
+    if options.out is not None:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(options.out, (json.dumps(figures, indent=2) + "\n").encode())
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)
+    sys.exit(0)

@@ -1,0 +1,186 @@
+"""The commands as a user types them: results on disk, one clear line for bad input, layering."""
+
+import ast
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, shipped_model, write_tensors
+from napsp.statistics import wilson_interval
+from planners.cli import run
+
+ROOT = Path(__file__).parent.parent
+SHIPPED = ("point_maze", "fetch_reach", "fetch_wall")
+
+
+def command(*arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-m", *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        timeout=240,
+    )
+
+
+def test_main_job(tmp_path):
+    result = command("planners.mppi", "--env", "fetch_wall", "--episodes", "1", "--out", str(tmp_path / "out"))
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    assert "mppi on fetch_wall" in result.stdout
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    expected = (
+        "env planner cost episodes success_rate any_success_rate mean_steps_to_goal plan_ms_median "
+        "raw_speed_fraction seed config revision"
+    )
+    assert set(expected.split()) <= set(summary)
+    assert summary["env"] == "fetch_wall" and summary["episodes"] == 1 and summary["success_rate"] == 1.0
+    assert 0.1 < summary["raw_speed_fraction"] < 1.5
+    with open(tmp_path / "out" / "episodes.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 1 and rows[0]["seed"] == "0"
+    assert (tmp_path / "out" / "distance_to_go.png").read_bytes()[:4] == b"\x89PNG"
+    video = tmp_path / "out" / "video.mp4"
+    assert video.is_file() or "no video" in result.stdout
+    assert not video.is_file() or video.stat().st_size > 10_000
+
+
+def test_without_gl_there_is_one_line_instead_of_a_video(tmp_path):
+    arguments = ("--env", "point_maze", "--episodes", "1", "--samples", "8", "--out", str(tmp_path))
+    result = command("planners.mppi", *arguments, MUJOCO_GL="disable")
+    assert result.returncode == 0, result.stderr
+    assert sum("no video" in line for line in result.stdout.splitlines()) == 1
+    assert not (tmp_path / "video.mp4").exists() and (tmp_path / "summary.json").is_file()
+
+
+@pytest.mark.parametrize("cost", ["euclidean", "sparse"])
+def test_a_cost_without_distance_needs_no_checkpoint(cost, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("napsp.checkpoint.SHIPPED", tmp_path / "nothing")
+    arguments = ["--env", "point_maze_long", "--cost", cost, "--episodes", "1", "--samples", "8", "--no-video"]
+    assert run("mppi", [*arguments, "--out", str(tmp_path / "out")]) == 0
+    assert "no checkpoint" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["checkpoint"] is None
+
+
+def test_same_seed_same_result(tmp_path):
+    for name in ("a", "b"):
+        arguments = ["--env", "point_maze", "--episodes", "2", "--samples", "16", "--no-video", "--seed", "5"]
+        run("mppi", [*arguments, "--out", str(tmp_path / name), "--threads", "1" if name == "a" else "2"])
+    first, second = (
+        [row[:5] for row in csv.reader(open(tmp_path / name / "episodes.csv", newline=""))] for name in ("a", "b")
+    )
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    "options", [["--knots", "3", "--interpolation", "cubic"], ["--action-of", "plan"], ["--proposals"]]
+)
+def test_options_run(options, tmp_path):
+    arguments = ["--env", "point_maze", "--episodes", "1", "--samples", "8", "--no-video", "--out", str(tmp_path)]
+    assert run("mppi", [*arguments, *options]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["planners.mppi", "--env", "nope"], "unknown environment 'nope'; choose one of: point_maze"),
+        (["napsp.train", "--env", "nope"], "unknown environment 'nope'"),
+        (["napsp.evaluate", "--env", "nope"], "unknown environment 'nope'"),
+        (["planners.mppi", "--samples", "0"], "--samples is 0; it must be at least 1"),
+        (["planners.mppi", "--knots", "9"], "--knots 9 exceeds the horizon of 5"),
+        (["planners.mppi", "--checkpoint", "nowhere"], "no checkpoint at nowhere"),
+        (["planners.mppi", "--env", "point_maze_long"], "no checkpoint ships for point_maze_long"),
+        (["napsp.train", "--batch-size", "0"], "batch_size is 0; it must be at least 1"),
+    ],
+)
+def test_bad_input_is_one_line_and_a_failing_exit_code(arguments, words):
+    result = command(*arguments)
+    assert result.returncode != 0
+    assert words in result.stderr and len(result.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in result.stderr + result.stdout
+
+
+def test_bad_checkpoints_on_the_command_line(tmp_path):
+    good = shipped_model("point_maze")
+    truncated, foreign = tmp_path / "truncated.safetensors", tmp_path / "foreign.safetensors"
+    truncated.write_bytes(good.read_bytes()[:5000])
+    tensors, header = read_tensors(good, "model")
+    write_tensors(foreign, tensors, {**header, "format": "other"})
+    for path, env, words in (
+        (truncated, "point_maze", "damaged or not a safetensors file"),
+        (foreign, "point_maze", "is not a napsp model file"),
+        (good, "fetch_wall", "was trained on point_maze, not on fetch_wall"),
+    ):
+        result = command("planners.mppi", "--env", env, "--checkpoint", str(path))
+        assert result.returncode == 2 and words in result.stderr
+        assert len(result.stderr.strip().splitlines()) == 1 and "Traceback" not in result.stderr
+
+
+def test_nan_goal_is_one_clear_line(tmp_path, capsys):
+    from napsp.errors import UserError
+
+    for goal in (["nan", "0.5"], ["0.1"]):
+        with pytest.raises(UserError, match="--goal"):
+            run("mppi", ["--env", "point_maze", "--no-video", "--out", str(tmp_path), "--goal", *goal])
+
+
+def test_a_given_goal_is_used(tmp_path):
+    arguments = ["--env", "point_maze", "--episodes", "1", "--cost", "euclidean", "--no-video", "--out", str(tmp_path)]
+    run("mppi", [*arguments, "--goal", "-0.5", "-0.5"])  # in the start room: no wall between
+    assert json.loads((tmp_path / "summary.json").read_text())["success_rate"] == 1.0
+
+
+@pytest.mark.parametrize("env", SHIPPED)
+def test_shipped_checkpoints_tell_where_they_come_from(env):
+    folder = shipped_model(env).parent
+    model = load_model(folder / MODEL_FILE, env)
+    record = json.loads((folder / "training.json").read_text())
+    assert record["command"].startswith(f"python -m napsp.train --env {env}")
+    assert record["revision"] == model.header["revision"] and record["seed"] == model.config.seed
+    with open(folder / "metrics.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["episodes"]) == model.header["episodes"]
+    assert (folder / "training_curve.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_evaluate_runs_the_shipped_policy(tmp_path):
+    result = command("napsp.evaluate", "--env", "fetch_wall", "--episodes", "4", "--out", str(tmp_path / "e.json"))
+    assert result.returncode == 0, result.stderr
+    assert json.loads((tmp_path / "e.json").read_text())["success_rate"] == 1.0
+
+
+def test_wilson_interval_against_the_textbook():
+    np.testing.assert_allclose(wilson_interval(8, 10), (0.4901625, 0.9433178), atol=1e-6)
+
+
+# -- layering: napsp.envs -> napsp -> mpc -> planners' command line -> benchmarks --
+
+LAYERS = ("napsp", "mpc", "planners", "benchmarks")
+
+
+def imports_of(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+
+
+def test_imports_run_one_way():
+    for path in [p for layer in LAYERS for p in (ROOT / layer).rglob("*.py")]:
+        layer = LAYERS.index(path.relative_to(ROOT).parts[0])
+        for name in imports_of(path):
+            top = name.split(".")[0]
+            assert top not in LAYERS[layer + 1 :], f"{path} imports {name}"
+            assert top != "casadi" or path.name.startswith("smoothing"), f"{path} imports casadi"
+    for path in (ROOT / "napsp" / "envs").glob("*.py"):
+        for name in imports_of(path):
+            allowed = ("napsp.envs", "napsp.errors")
+            assert not name.startswith("napsp") or name.startswith(allowed), f"{path} imports {name}"
+            assert name.split(".")[0] != "torch", f"{path} imports torch"

@@ -1,0 +1,161 @@
+"""J of a plan on trajectories written by hand, and the receding-horizon loop around it."""
+
+import numpy as np
+import pytest
+
+from mpc.controller import Controller
+from mpc.cost import Cost, EuclideanSteps, NoSteps
+from mpc.rollout import RolloutEngine, Trajectories
+from napsp.envs.dynamics import get_state
+from planners.mppi import MPPI
+
+GOAL = np.array([0.0])
+
+
+def reached(achieved, goals):
+    return np.abs(np.asarray(achieved) - goals)[..., 0] < 0.5
+
+
+def trajectories(*paths, diverged=None):
+    rows = np.array(paths, float)[..., None]
+    flags = np.zeros(len(paths), bool) if diverged is None else np.array(diverged)
+    return Trajectories(rows, rows, flags)
+
+
+def steps_to_go(observations, achieved, actions, goal):
+    """True steps at one metre per step, plus the action when it is given."""
+    steps = np.abs(achieved - goal)[:, 0]
+    return steps if actions is None else steps + 100.0 * actions[:, 0]
+
+
+START = {"observation": np.array([5.0]), "achieved_goal": np.array([5.0]), "desired_goal": GOAL}
+PATHS = trajectories([4, 3, 2], [2, 0, 0], [0, 1, 2])
+ACTIONS = np.zeros((3, 3, 1))
+
+
+def test_terminal_cost_is_steps_spent_plus_steps_left():
+    cost = Cost(steps_to_go, reached, "terminal")
+    # Never there: 3 spent + 2 left. There at step 2 and staying: 1. There at once, then leaving: 2.
+    np.testing.assert_allclose(cost(START, PATHS, ACTIONS, GOAL), [5.0, 1.0, 2.0])
+
+
+def test_mean_cost_averages_over_the_states_outside_the_goal():
+    cost = Cost(steps_to_go, reached, "mean")
+    expected = [3 + (4 + 3 + 2) / 3, 1 + 2 / 3, 2 + (1 + 2) / 3]
+    np.testing.assert_allclose(cost(START, PATHS, ACTIONS, GOAL), expected)
+
+
+def test_both_adds_the_two():
+    cost = Cost(steps_to_go, reached, "both")
+    np.testing.assert_allclose(cost(START, PATHS, ACTIONS, GOAL), [3 + 3 + 2, 1 + 2 / 3, 2 + 1])
+
+
+def test_plan_action_uses_the_last_action_without_simulating_it():
+    cost = Cost(steps_to_go, reached, "terminal", action_of="plan")
+    assert cost.simulated_steps(3) == 2
+    actions = np.zeros((1, 3, 1))
+    actions[0, :, 0] = [0.5, 0.6, 0.1]
+    # s_1 = 4, s_2 = 3 are simulated; d(s_2, a_2, g) = 3 + 100 * 0.1.
+    np.testing.assert_allclose(cost(START, trajectories([4, 3]), actions, GOAL), [2 + 13])
+
+
+def test_horizon_one_is_the_distance_itself():
+    cost = Cost(steps_to_go, reached, "terminal", action_of="plan")
+    actions = np.array([[[0.2]], [[-0.01]]])
+    nothing = Trajectories(np.empty((2, 0, 1)), np.empty((2, 0, 1)), np.zeros(2, bool))
+    np.testing.assert_allclose(cost(START, nothing, actions, GOAL), [25.0, 4.0])
+
+
+def test_diverged_and_nan_cost_infinity():
+    cost = Cost(steps_to_go, reached, "terminal")
+    paths = trajectories([0, 0, 0], [np.nan, np.nan, np.nan], [4, 3, 2], diverged=[True, False, False])
+    costs = cost(START, paths, ACTIONS, GOAL)
+    assert np.isinf(costs[:2]).all() and np.isfinite(costs[2])
+
+
+def test_euclidean_is_in_steps_and_sparse_is_zero():
+    rows = np.array([[3.0, 4.0], [0.0, 0.0]])
+    np.testing.assert_allclose(EuclideanSteps(0.5)(rows, rows, None, np.zeros(2)), [10.0, 0.0])
+    np.testing.assert_allclose(NoSteps()(rows, rows, None, np.zeros(2)), 0.0)
+
+
+def controller(world, seed=0, n_threads=2, where="terminal", horizon=6, action_of="policy", n_samples=24):
+    cost = Cost(EuclideanSteps(world.step_length), world.reached, where, action_of)
+    planner = MPPI(horizon, world.action_space.shape[0], n_samples)
+    return Controller(RolloutEngine(world.dynamics, n_threads), planner, cost, horizon, np.random.default_rng(seed))
+
+
+def test_planning_reaches_a_near_goal_and_leaves_the_world_alone(worlds):
+    world = worlds["fetch_reach"]
+    observation, _ = world.reset(seed=2)
+    control = controller(world)
+    success = False
+    for _ in range(15):
+        before = get_state(world.model, world.data)
+        plan = control.plan(world, observation)
+        np.testing.assert_array_equal(before, get_state(world.model, world.data))
+        observation, _, _, _, info = world.step(plan.action)
+        success |= info["is_success"]
+    assert success
+    control.engine.close()
+
+
+def test_plans_are_identical_for_any_number_of_threads(worlds):
+    world = worlds["fetch_wall"]
+    plans = []
+    for n_threads in (1, 2):
+        observation, _ = world.reset(seed=0)
+        control = controller(world, n_threads=n_threads)
+        plans.append([control.plan(world, observation).actions for _ in range(3)])
+        control.engine.close()
+    np.testing.assert_array_equal(*plans)
+
+
+def test_a_goal_that_is_not_finite_is_refused(worlds):
+    world = worlds["point_maze"]
+    observation, _ = world.reset(seed=0)
+    observation["desired_goal"] = np.array([np.nan, 0.0])
+    with pytest.raises(ValueError, match="not finite"):
+        controller(world).plan(world, observation)
+
+
+def test_all_diverged_keeps_the_plan_and_warns_once(worlds):
+    world = worlds["point_maze"]
+    observation, _ = world.reset(seed=0)
+    control = controller(world)
+    control.cost = Cost(lambda *rows: np.full(len(rows[0]), np.nan), world.reached, "terminal")
+    with pytest.warns(RuntimeWarning, match="keeping the previous plan") as caught:
+        for _ in range(3):
+            plan = control.plan(world, observation)
+    assert len(caught) == 1
+    np.testing.assert_array_equal(plan.actions, 0.0)
+
+
+def test_policy_proposals_join_the_samples(worlds):
+    world = worlds["point_maze"]
+    observation, _ = world.reset(seed=0)
+    control = controller(world)
+    control._proposals_from = lambda observations, goals: np.full((1, 2), 0.25, np.float32)
+    seen = []
+    sample = control.planner.sample
+    control.planner.sample = lambda rng, proposals: seen.append(proposals) or sample(rng, proposals)
+    control.plan(world, observation)
+    np.testing.assert_allclose(seen[0], np.full((1, 6, 2), 0.25), atol=1e-6)
+
+
+def test_following_an_actor_equals_stepping_it(worlds):
+    for name in ("fetch_wall", "point_maze"):
+        world = worlds[name]
+        observation, _ = world.reset(seed=1)
+        goal = observation["desired_goal"]
+
+        def actor(observations, goals):
+            size = world.action_space.shape[0]  # noqa: B023
+            return np.tanh(observations[:, :size] * 3 - goals[:, :1]).astype(np.float32)
+
+        with RolloutEngine(world.dynamics, 1) as engine:
+            planned = engine.follow(get_state(world.model, world.data), observation, actor, 8)
+        for action in planned:
+            rows = observation["observation"].astype(np.float32)[None], goal.astype(np.float32)[None]
+            np.testing.assert_array_equal(action, actor(*rows)[0])
+            observation = world.step(action)[0]

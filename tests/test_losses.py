@@ -1,0 +1,213 @@
+"""The paper's equations against exact small cases: chains, detours, Floyd-Warshall, the U-sweep."""
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.tabular import GridWorld, TabularDistance, learn, spearman_against_truth
+from napsp.buffer import Episodes, sample_pairs, sample_relabelled, sample_triples
+from napsp.counts import CountModel, HashedCounts, uncertainty
+from napsp.losses import hypotenuse, temporal_label, temporal_loss, triangular_loss
+from napsp.networks import DistanceNetwork, GaussianPolicy
+from napsp.scaling import Scaling
+
+
+def chain_episodes(n_episodes=3, horizon=6):
+    """Episode e visits positions 100 e, 100 e + 1, ...; its action at step t is t."""
+    positions = np.arange(horizon + 1.0)[None] + 100 * np.arange(n_episodes)[:, None]
+    rows = positions[..., None].astype(np.float32)
+    actions = np.tile(np.arange(horizon, dtype=np.float32)[None, :, None], (n_episodes, 1, 1))
+    return Episodes(rows, rows.copy(), actions, rows[:, -1] + 50)
+
+
+# -- sampling --
+
+
+def test_pairs_are_later_in_the_same_episode_and_uniform():
+    pairs = sample_pairs(chain_episodes(), 60_000, np.random.default_rng(0))
+    start, goal = pairs.observations[:, 0], pairs.goals[:, 0]
+    np.testing.assert_array_equal(goal - start, pairs.steps_between)
+    assert pairs.steps_between.min() == 1 and pairs.steps_between.max() == 6
+    np.testing.assert_array_equal(pairs.actions[:, 0], start % 100)
+    # 21 pairs per episode, 6 of them one step apart.
+    assert (pairs.steps_between == 1).mean() == pytest.approx(6 / 21, abs=0.01)
+
+
+def test_triples_take_start_and_goal_from_one_recent_episode():
+    everything, recent = chain_episodes(5), chain_episodes(2)
+    triples = sample_triples(recent, everything, 5_000, np.random.default_rng(0))
+    episode = triples.observations[:, 0] // 100
+    np.testing.assert_array_equal(triples.goals[:, 0], 100 * episode + 56)
+    assert episode.max() == 1 and (triples.waypoints[:, 0] // 100).max() == 4
+    np.testing.assert_array_equal(triples.waypoint_actions[:, 0], triples.waypoints[:, 0] % 100)
+    np.testing.assert_array_equal(triples.waypoint_goals, triples.waypoints)
+
+
+def test_her_future_goals_and_rewards():
+    episodes = chain_episodes()
+
+    def reward(achieved, goals):
+        return -(np.abs(achieved - goals)[:, 0] > 0.5).astype(np.float32)
+
+    batch = sample_relabelled(episodes, 50_000, 0.8, reward, np.random.default_rng(0))
+    start, goal = batch.observations[:, 0], batch.goals[:, 0]
+    original = goal == 100 * (start // 100) + 56
+    assert original.mean() == pytest.approx(0.2, abs=0.01)
+    ahead = (goal - start)[~original]
+    assert ahead.min() == 1, "the transition's own next state is a legal future goal"
+    assert (ahead <= 6 - start[~original] % 100).all()
+    np.testing.assert_array_equal(batch.next_observations[:, 0], start + 1)
+    np.testing.assert_array_equal(batch.rewards == 0, goal == start + 1)
+
+
+# -- counts and eq. 2 --
+
+
+def test_counts_equal_a_dictionary():
+    rng = np.random.default_rng(0)
+    table = HashedCounts(3, 10, rng)
+    truth = {}
+    for _ in range(5):
+        rows = rng.standard_normal((200, 3))
+        table.add(rows)
+        for key in table.key(rows):
+            truth[key] = truth.get(key, 0) + 1
+    probe = rng.standard_normal((500, 3))
+    expected = [truth.get(key, 0) for key in table.key(probe)]
+    np.testing.assert_array_equal(table.count(probe), expected)
+    assert 0 in expected and sum(truth.values()) == table.counts.sum()
+
+
+def test_reached_counts_each_later_pair_once():
+    episodes = chain_episodes(1, horizon=4)
+    scaling = Scaling(episodes.observations, episodes.achieved_goals)
+    counts = CountModel((1, 1, 1), 62, 62, scaling, np.random.default_rng(0))
+    counts.update(episodes)
+    counts.update(episodes)
+    states, actions, goals = episodes.observations[0], episodes.actions[0], episodes.achieved_goals[0]
+    for i in range(4):
+        row = states[i : i + 1], actions[i : i + 1]
+        assert counts.visits(*row) == 2
+        for j in range(5):
+            expected = 2 if j > i else 0
+            assert counts.reached(*row, goals[j : j + 1]) == expected, (i, j)
+
+
+def test_uncertainty_is_equation_2():
+    np.testing.assert_allclose(uncertainty(np.array([0, 3, 99]), 10.0, 0.5), [10.0, 5.0, 1.0])
+    np.testing.assert_allclose(uncertainty(np.array([1]), 8.0, 3.0), [1.0])
+
+
+# -- eq. 4a --
+
+
+def test_temporal_label_never_exceeds_the_empirical_distance():
+    steps, target = torch.tensor([5.0, 5.0, 5.0]), torch.tensor([2.0, 4.5, 30.0])
+    label = temporal_label(steps, target, torch.tensor([1.0, 1.0, 1.0]))
+    torch.testing.assert_close(label, torch.tensor([3.0, 5.0, 5.0]))
+
+
+@pytest.mark.parametrize(
+    ("bound", "fixed_point"), [(50, 27.5), (10, 24.8), (5, 21.0), (3, 18.1), (1, 13.1), (0.5, 10.8), (0.1, 7.4)]
+)
+def test_u_sweep_moves_d_from_the_mean_label_to_the_smallest(bound, fixed_point):
+    """Labels uniform on {5..50}: a large U gives their mean, U -> 0 their minimum."""
+    labels = torch.arange(5.0, 51.0)
+    d = torch.tensor(20.0)
+    for _ in range(30_000):
+        d += 0.02 * (temporal_label(labels, d, torch.tensor(float(bound))).mean() - d)
+    assert float(d) == pytest.approx(fixed_point, abs=0.06)
+
+
+def test_temporal_regression_recovers_a_chain():
+    torch.manual_seed(0)
+    episodes, rng = chain_episodes(1, horizon=8), np.random.default_rng(0)
+    network = DistanceNetwork((1, 1, 1), (64, 64), horizon=8)
+    network.scaling.set(Scaling(episodes.observations, episodes.achieved_goals))
+    optimizer = torch.optim.Adam(network.parameters(), lr=1e-2)
+    for _ in range(400):
+        pairs = sample_pairs(episodes, 64, rng)
+        inputs = [torch.from_numpy(x) for x in (pairs.observations, pairs.actions, pairs.goals)]
+        loss = temporal_loss(network, *inputs, torch.from_numpy(pairs.steps_between))
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    assert (network(*inputs) - torch.from_numpy(pairs.steps_between)).abs().max() < 0.4
+
+
+# -- eq. 3 and 4b --
+
+
+def test_triangular_loss_is_equation_4b():
+    torch.manual_seed(0)
+    network = DistanceNetwork((2, 1, 2), (8,), horizon=10)
+    rows = torch.randn(4, 2), torch.randn(4, 1), torch.randn(4, 2)
+    labels = hypotenuse(torch.tensor([1.0, 2, 3, 9]), torch.tensor([1.0, 1, 1, 8]), cap=10.0)
+    torch.testing.assert_close(labels, torch.tensor([2.0, 3.0, 4.0, 10.0]))
+    loss, metrics = triangular_loss(network, *rows, labels)
+    predictions = network(*rows).detach()
+    torch.testing.assert_close(loss.detach(), (((predictions - labels) / 10) ** 2).mean())
+    assert metrics["merged"] == int((labels > predictions).sum()) and metrics["merged"] + metrics["relaxed"] == 4
+
+
+def test_detour_of_three_nodes_raises_the_underestimate():
+    """Figure 1: s -> j and j -> g were walked, s -> g never; d(s, g) starts too low."""
+    table = TabularDistance(n_states=3, n_actions=1)
+    s, j, g = 0, 1, 2
+    table.values[s, 0, j], table.values[j, 0, g], table.values[s, 0, g] = 4.0, 3.0, 1.0
+    for _ in range(60):
+        label = hypotenuse(table.look_up([s], [0], [j]), table.look_up([j], [0], [g]), cap=50.0)
+        table.fit([s], [0], [g], label, rate=0.3)
+    assert float(table.values[s, 0, g]) == pytest.approx(7.0, abs=1e-3)
+
+
+def test_without_a_cap_two_bootstraps_run_away_and_with_one_they_stay():
+    for cap, bounded in ((50.0, True), (None, False)):
+        d = torch.tensor([20.0])
+        for _ in range(100):
+            d = d + 0.3 * (hypotenuse(d, d, cap) - d)
+        assert bool(d <= 50.0) is bounded
+
+
+def test_equations_4a_and_4b_recover_floyd_warshall():
+    world = GridWorld()
+    distance = learn(world, np.random.default_rng(0))
+    spearman, ratio = spearman_against_truth(world, distance)
+    assert spearman >= 0.98
+    assert 0.95 <= ratio <= 1.25
+
+
+# -- networks --
+
+
+def test_policy_density_integrates_to_one():
+    torch.manual_seed(0)
+    policy = GaussianPolicy((1, 1, 1), (4,))
+    state, goal = torch.zeros(1, 1), torch.zeros(1, 1)
+    mean, log_std = policy(state, goal)
+    actions = torch.linspace(-0.9999, 0.9999, 20_001)
+    before = torch.atanh(actions)
+    density = torch.distributions.Normal(mean[0], log_std[0].exp()).log_prob(before) - torch.log(1 - actions**2)
+    assert float(torch.trapezoid(density.exp().detach(), actions)) == pytest.approx(1.0, abs=1e-2)
+    _, log_density = policy.sample(state.expand(5, 1), goal.expand(5, 1), torch.Generator().manual_seed(1))
+    action, expected = policy.sample(state, goal, torch.Generator().manual_seed(3))
+    check = torch.distributions.Normal(mean, log_std.exp()).log_prob(torch.atanh(action)) - torch.log(1 - action**2)
+    torch.testing.assert_close(expected, check.sum(-1), atol=1e-4, rtol=1e-4)
+    assert log_density.shape == (5,)
+
+
+def test_distance_is_clipped_to_the_episode():
+    network = DistanceNetwork((2, 1, 2), (8,), horizon=10).requires_grad_(False)
+    with torch.no_grad():
+        network.net[-1].bias.fill_(-3.0)
+    rows = torch.zeros(1, 2), torch.zeros(1, 1), torch.zeros(1, 2)
+    assert float(network(*rows)) < 0 and float(network.steps(*rows)) == 0.0
+    with torch.no_grad():
+        network.net[-1].bias.fill_(7.0)
+    assert float(network.steps(*rows)) == 10.0
+
+
+def test_constant_inputs_are_left_alone_by_the_scaling():
+    rows = np.array([[1.0, 5.0], [2.0, 5.0 + 1e-7]], np.float32)
+    scaled = Scaling(rows, rows).observation(rows)
+    assert np.abs(scaled[:, 1]).max() < 1e-3 and np.abs(scaled[:, 0]).max() == pytest.approx(1.0)

@@ -1,0 +1,201 @@
+"""Training end to end: it learns, it is deterministic, it survives being killed, its files are safe."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+
+from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, save_model, write_atomically, write_tensors
+from napsp.config import METHODS, from_dict, preset
+from napsp.errors import UserError
+from napsp.networks import DistanceNetwork, GaussianPolicy
+from napsp.resume import STATE_FILE
+from napsp.train import parse, train
+
+TINY = {
+    "n_episodes": 16,
+    "n_warmup_episodes": 4,
+    "episodes_per_iteration": 2,
+    "n_temporal_updates": 3,
+    "n_triangular_updates": 2,
+    "n_policy_updates": 3,
+    "batch_size": 32,
+    "hidden": (16, 16),
+    "evaluate_every": 4,
+    "n_evaluation_episodes": 2,
+}
+
+
+def tiny(env="point_maze", **changes):
+    return preset(env, **{**TINY, **changes})
+
+
+def learned(rows):
+    """Rows without what depends on the clock."""
+    clock = {"seconds", "steps_per_second", "minutes_left"}
+    return [{k: v for k, v in row.items() if k not in clock} for row in rows]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_runs_and_writes_its_files(method, tmp_path, capsys):
+    rows = train(tiny(method=method), tmp_path)
+    assert [row["episodes"] for row in rows] == [8, 12, 16]
+    assert "success" in capsys.readouterr().out
+    with open(tmp_path / "metrics.csv", newline="") as file:
+        assert len(list(csv.DictReader(file))) == 3
+    model = load_model(tmp_path, "point_maze")
+    assert (model.distance is None) == (method == "sparse")
+    assert ("merging_rate" in rows[0]) == (method == "ours")
+    assert model.header["episodes"] == 16 and model.config.method == method
+
+
+def test_same_seed_same_run(tmp_path):
+    first, second = (train(tiny(seed=3), tmp_path / name) for name in ("a", "b"))
+    assert learned(first) == learned(second)
+    assert learned(train(tiny(seed=4), tmp_path / "c")) != learned(first)
+
+
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
+    whole = train(tiny(), tmp_path / "whole")
+    train(tiny(n_episodes=8), tmp_path / "parts")
+    resumed = train(tiny(), tmp_path / "parts")
+    assert learned(resumed) == learned(whole)
+    first, second = (read_tensors(tmp_path / name / STATE_FILE, "training state")[0] for name in ("whole", "parts"))
+    assert first.keys() == second.keys()
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_killed_at_a_random_moment_it_continues(tmp_path):
+    command = [sys.executable, "-m", "napsp.train", "--env", "point_maze", "--out", str(tmp_path / "run")]
+    for name, value in tiny(n_episodes=4000).to_dict().items():
+        if name in TINY:
+            values = [str(v) for v in value] if isinstance(value, list) else [str(value)]
+            command += [f"--{name.replace('_', '-')}", *values]
+    done = []
+    for pause in np.random.default_rng(0).uniform(0.3, 1.5, 2):
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        state = tmp_path / "run" / STATE_FILE
+        deadline = time.monotonic() + 60
+        before = state.stat().st_mtime_ns if state.is_file() else 0
+        while time.monotonic() < deadline and (not state.is_file() or state.stat().st_mtime_ns == before):
+            time.sleep(0.05)
+        time.sleep(pause)
+        process.send_signal(signal.SIGKILL)
+        output = process.communicate()[0]
+        assert "Traceback" not in output
+        header = read_tensors(state, "training state")[1]
+        done.append(header["iteration"])
+    assert "continuing" in output and done[1] > done[0] > 0
+    with open(tmp_path / "run" / "metrics.csv", newline="") as file:
+        episodes = [float(row["episodes"]) for row in csv.DictReader(file)]
+    assert episodes == sorted(set(episodes)), "a resumed run must not repeat rows"
+
+
+def test_interrupt_saves_and_the_same_command_goes_on(tmp_path, capsys):
+    config = tiny(n_episodes=4000)
+    timer = subprocess.Popen(
+        [sys.executable, "-c", f"import time, os, signal; time.sleep(1.5); os.kill({os.getpid()}, signal.SIGINT)"]
+    )
+    train(config, tmp_path)
+    timer.wait()
+    assert "the same command continues it" in capsys.readouterr().out
+    assert read_tensors(tmp_path / STATE_FILE, "training state")[1]["iteration"] > 0
+
+
+def test_other_settings_in_the_same_folder_are_refused(tmp_path):
+    train(tiny(), tmp_path)
+    with pytest.raises(UserError, match="other settings \\(discount\\)"):
+        train(tiny(discount=0.9), tmp_path)
+    assert len(train(tiny(discount=0.9), tmp_path, restart=True)) == 3
+
+
+def test_command_line_defaults_follow_the_task():
+    config, options = parse(["--env", "point_maze_long", "--seed", "7", "--method", "ddl"])
+    assert config == preset("point_maze_long", seed=7, method="ddl") and options.out is None
+    assert parse(["--env=fetch_reach_wall"])[0].env == "fetch_wall"
+
+
+def test_bad_settings_name_the_fix():
+    for changes, words in (
+        ({"method": "magic"}, "choose one of: sparse, ddl, offpolicy_ddl, ours"),
+        ({"batch_size": 0}, "batch_size is 0"),
+        ({"uncertainty_scale": 0.0}, "must be positive"),
+        ({"visit_bits": 99}, "between 1 and 62"),
+    ):
+        with pytest.raises(UserError, match=words):
+            tiny(**changes)
+    with pytest.raises(UserError, match="does not fit this version"):
+        from_dict({**tiny().to_dict(), "colour": 1})
+
+
+def test_hash_ignores_the_seed_only():
+    assert tiny(seed=1).hash() == tiny(seed=2).hash() != tiny(discount=0.9).hash()
+
+
+# -- checkpoint files --
+
+
+@pytest.fixture
+def saved(tmp_path):
+    config, sizes = tiny(), (4, 2, 2)
+    policy, distance = GaussianPolicy(sizes, config.hidden), DistanceNetwork(sizes, config.hidden, 50)
+    path = tmp_path / MODEL_FILE
+    save_model(path, policy, distance, config, sizes, 16)
+    return path, distance
+
+
+def test_checkpoint_round_trip(saved):
+    path, distance = saved
+    model = load_model(path, "point_maze")
+    rows = torch.randn(5, 4), torch.randn(5, 2), torch.randn(5, 2)
+    torch.testing.assert_close(model.distance(*rows), distance(*rows).detach())
+
+
+def test_truncated_and_foreign_checkpoints_give_one_clear_line(saved, tmp_path):
+    path, _ = saved
+    content = path.read_bytes()
+    for length in (0, 5, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:length])
+        with pytest.raises(UserError, match="damaged or not a safetensors file"):
+            load_model(path, "point_maze")
+    path.write_bytes(content)
+    with pytest.raises(UserError, match="was trained on point_maze, not on fetch_wall"):
+        load_model(path, "fetch_wall")
+    write_tensors(path, {"x": torch.zeros(1)}, {"format": "something else"})
+    with pytest.raises(UserError, match="is not a napsp model file"):
+        load_model(path, "point_maze")
+    with pytest.raises(UserError, match="no checkpoint at"):
+        load_model(tmp_path / "missing", "point_maze")
+
+
+def test_weights_that_are_not_finite_are_refused(saved):
+    path, _ = saved
+    tensors, header = read_tensors(path, "model")
+    tensors["distance.net.0.bias"][0] = float("nan")
+    write_tensors(path, tensors, header)
+    with pytest.raises(UserError, match="not finite"):
+        load_model(path, "point_maze")
+
+
+def test_wrong_shapes_are_refused(saved):
+    path, _ = saved
+    tensors, header = read_tensors(path, "model")
+    tensors["policy.net.0.weight"] = torch.zeros(3, 3)
+    write_tensors(path, tensors, header)
+    with pytest.raises(UserError, match="does not hold the network"):
+        load_model(path, "point_maze")
+
+
+def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    write_atomically(path, b"old")
+    monkeypatch.setattr(os, "fsync", lambda fd: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    with pytest.raises(OSError, match="No space left"):
+        write_atomically(path, b"new")
+    assert path.read_bytes() == b"old" and [p.name for p in tmp_path.iterdir()] == ["file"]
