@@ -146,7 +146,12 @@ PRESETS: dict[str, dict[str, Any]] = {
         "uncertainty_scale": 20.0,
         "n_policy_updates": 100,
     },
-    "fetch_reach": {"n_episodes": 400, "evaluate_every": 20},
+    "fetch_reach": {
+        "n_episodes": 400,
+        "evaluate_every": 20,
+        "visit_bits": 12,
+        "policy_learning_rate": 3e-4,
+    },
     "fetch_wall": {"n_episodes": 500},
 }
 

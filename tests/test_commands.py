@@ -73,7 +73,8 @@ def test_same_seed_same_result(tmp_path):
         arguments = ["--env", "point_maze", "--episodes", "2", "--samples", "16", "--no-video", "--seed", "5"]
         run("mppi", [*arguments, "--out", str(tmp_path / name), "--threads", "1" if name == "a" else "2"])
     first, second = (
-        [row[:5] for row in csv.reader(open(tmp_path / name / "episodes.csv", newline=""))] for name in ("a", "b")
+        [row[:5] for row in csv.reader((tmp_path / name / "episodes.csv").read_text().splitlines())]
+        for name in ("a", "b")
     )
     assert first == second
 
