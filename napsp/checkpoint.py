@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -152,8 +153,12 @@ def shipped_model(env: str) -> Path:
     return path
 
 
+@cache
 def git_revision() -> str:
-    """Revision of the source tree, with "+" if it has changes; "unknown" outside git."""
+    """Revision of the source tree, with "+" if it has changes; "unknown" outside git.
+
+    Read once: the code that runs is the code that was there when the process started.
+    """
     root = Path(__file__).parent
     try:
         options = {"cwd": root, "capture_output": True, "text": True, "check": True, "timeout": 10}

@@ -16,7 +16,7 @@ import tyro
 
 from napsp import envs as tasks
 from napsp.buffer import Episodes, concatenate
-from napsp.checkpoint import MODEL_FILE, save_model
+from napsp.checkpoint import MODEL_FILE, git_revision, save_model
 from napsp.config import TrainConfig, preset
 from napsp.episodes import ExploringActor, evaluate, greedy_actor, roll
 from napsp.errors import run_command
@@ -70,6 +70,7 @@ class Run:
     @classmethod
     def open(cls, config: TrainConfig, folder: Path, restart: bool, tensorboard: bool) -> Run:
         """Start a run in ``folder`` or continue the one it holds."""
+        git_revision()  # now, not when the first checkpoint is written
         torch.manual_seed(config.seed)  # initial weights
         rng, generator = np.random.default_rng(config.seed), torch.Generator().manual_seed(config.seed)
         envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]

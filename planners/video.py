@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ class Video:
             badness = rank / max(1, len(order) - 1)
             color = (0.15 + 0.8 * badness, 0.35, 0.95 - 0.75 * badness, 0.9 - 0.6 * badness)
             points = self._world.goal_positions(plan.trajectories.achieved_goals[order[rank]])
-            for start, end in zip(points[:-1], points[1:], strict=True):
+            for start, end in pairwise(points):
                 self._segment(start, end, 0.003 if rank else 0.006, color)
 
     def _sphere(self, position: np.ndarray, radius: float, color: tuple[float, ...]) -> None:

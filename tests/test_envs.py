@@ -111,10 +111,10 @@ def test_fetch_wall_is_solid_and_can_be_crossed_only_above(worlds):
         assert grip[1] < world.WALL_Y, "the gripper went through the wall or around it"
     observation, _ = world.reset(seed=0)
     success = False
-    for t in range(50):  # up, across, down
+    for _ in range(50):  # up, across, down
         grip, goal = observation["achieved_goal"], observation["desired_goal"]
         over = np.array([grip[0], goal[1], 0.66]) if grip[1] < 0.83 else goal
-        target = grip + [0, 0, 0.1] if grip[1] < 0.7 and grip[2] < 0.64 else over
+        target = grip + np.array([0, 0, 0.1]) if grip[1] < 0.7 and grip[2] < 0.64 else over
         action = np.append(np.clip((target - grip) / 0.033, -1, 1), 0.0)
         observation, _, _, _, info = world.step(action)
         success |= info["is_success"]

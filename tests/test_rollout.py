@@ -97,7 +97,7 @@ class WithoutMocapRotation(FetchReachSimulation):
 @pytest.mark.parametrize("broken", [WithoutWarmStart, WithoutFingerReset, WithoutMocapAnchor, WithoutMocapRotation])
 def test_the_comparison_notices_missing_state(broken, worlds, monkeypatch):
     world = worlds["fetch_wall"]
-    monkeypatch.setattr(type(world.dynamics), "bind", lambda self, data: broken(self, data))
+    monkeypatch.setattr(type(world.dynamics), "bind", lambda dynamics, data: broken(dynamics, data))  # noqa: PLW0108 - a bare class would not bind
     engine = RolloutEngine(world.dynamics, n_threads=2)
     monkeypatch.undo()
     with engine:
