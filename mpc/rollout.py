@@ -129,7 +129,7 @@ class RolloutEngine:
         mujoco.mj_getState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         held = np.repeat(controls, self.dynamics.substeps, axis=1)
         states, _ = self._native.rollout(model, self._datas, start, held, initial_warmstart=data.qacc_warmstart.copy())
-        ends = states[:, self.dynamics.substeps - 1 :: self.dynamics.substeps]
+        ends = np.asarray(states)[:, self.dynamics.substeps - 1 :: self.dynamics.substeps]
         features[:] = ends[..., 1 : 1 + model.nq + model.nv]
         final_times[:] = ends[:, -1, 0]
 

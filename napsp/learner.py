@@ -13,7 +13,7 @@ from napsp.buffer import EpisodeBuffer, Episodes, sample_pairs, sample_relabelle
 from napsp.config import TrainConfig
 from napsp.counts import CountModel, uncertainty
 from napsp.losses import Metrics, hypotenuse, temporal_label, temporal_loss, triangular_loss
-from napsp.networks import DistanceNetwork
+from napsp.networks import DistanceNetwork, move_towards
 from napsp.sac import SAC
 from napsp.scaling import Scaling
 
@@ -81,10 +81,8 @@ class Learner:
 
     def update_target(self) -> None:
         """Algorithm 1, line 9: theta_old <- theta (or a Polyak step towards it)."""
-        with torch.no_grad():
-            torch._foreach_lerp_(
-                list(self.target_distance.parameters()), list(self.distance.parameters()), self.config.target_polyak
-            )
+        parameters = self.target_distance.parameters(), self.distance.parameters()
+        move_towards(*parameters, self.config.target_polyak)
 
     def train_triangular(self, recent: Episodes) -> Metrics:
         """Algorithm 1, lines 10-17: raise or relax d(s_i, a_i, s_g) through waypoints (eq. 4b)."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +17,12 @@ from torch.nn import functional
 from napsp.scaling import Scaling
 
 LOG_STD_RANGE = (-10.0, 2.0)
+
+
+def move_towards(parameters: Iterable[Tensor], goals: Iterable[Tensor], weight: float) -> None:
+    """Polyak update in place: parameters += weight * (goals - parameters)."""
+    with torch.no_grad():
+        torch._foreach_lerp_(list(parameters), list(goals), weight)  # type: ignore[attr-defined]
 
 
 def mlp(n_inputs: int, hidden: tuple[int, ...], n_outputs: int) -> nn.Sequential:
@@ -32,10 +39,10 @@ class InputScaling(nn.Module):
 
     def __init__(self, n_observation: int, n_goal: int) -> None:
         super().__init__()
-        self.register_buffer("observation_mean", torch.zeros(n_observation))
-        self.register_buffer("observation_scale", torch.ones(n_observation))
-        self.register_buffer("goal_mean", torch.zeros(n_goal))
-        self.register_buffer("goal_scale", torch.ones(n_goal))
+        self.observation_mean = nn.Buffer(torch.zeros(n_observation))
+        self.observation_scale = nn.Buffer(torch.ones(n_observation))
+        self.goal_mean = nn.Buffer(torch.zeros(n_goal))
+        self.goal_scale = nn.Buffer(torch.ones(n_goal))
 
     def set(self, scaling: Scaling) -> None:
         """Copy the numbers of a numpy :class:`Scaling`."""

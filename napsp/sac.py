@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from napsp.config import TrainConfig
-from napsp.networks import Critic, GaussianPolicy
+from napsp.networks import Critic, GaussianPolicy, move_towards
 
 
 class SAC:
@@ -55,8 +55,7 @@ class SAC:
         """
         metrics = self._update_critic(observations, actions, next_observations, goals, rewards, generator)
         self._update_policy(observations, goals, generator)
-        with torch.no_grad():
-            torch._foreach_lerp_(self._target_parameters, self._critic_parameters, self._polyak)
+        move_towards(self._target_parameters, self._critic_parameters, self._polyak)
         return metrics
 
     def _update_critic(

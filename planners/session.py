@@ -78,11 +78,11 @@ class Session:
         horizon = options.horizon or HORIZONS[env_name]
         if options.knots is not None and options.knots > horizon:
             raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
-        _check_goal(options.goal, env)
+        _check_goal(options.goal, world)
         cost = Cost(_steps_to_go(options, model, world), world.reached, options.where, _action_of(options))
         controller = Controller(
             RolloutEngine(world.dynamics, options.threads),
-            make_planner(planner, options, options.knots or horizon, env.action_space.shape[0]),
+            make_planner(planner, options, options.knots or horizon, world.action_space.shape[0]),
             cost,
             horizon,
             np.random.default_rng(options.seed),

@@ -29,10 +29,10 @@ class Video:
         self._model = copy.copy(world.model)
         self._data = mujoco.MjData(self._model)
         self._hide_markers()
+        self._renderer: Any = None
         try:
             self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
         except Exception as error:
-            self._renderer = None
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             self._problem = f"no video: no off-screen OpenGL here ({reason}); install libosmesa6 or libegl1"
         self._camera = self._make_camera()

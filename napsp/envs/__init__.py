@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import farama_notifications
 
 # gymnasium-robotics prints a notice about its Adroit tasks on import; no task here is one.
@@ -40,7 +42,7 @@ def episode_length(name: str) -> int:
     return TASKS[canonical_name(name)][3]
 
 
-def make(name: str, **kwargs: object) -> gymnasium.Env:
+def make(name: str, **kwargs: Any) -> gymnasium.Env:
     """Create a task by short name, alias or Gymnasium id, with its time limit."""
     return gymnasium.make(TASKS[canonical_name(name)][0], **kwargs)
 
