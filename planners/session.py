@@ -74,7 +74,7 @@ class Session:
         if options.cost == "distance" and model is not None and model.distance is None:
             raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
         env = tasks.make(env_name)
-        world = env.unwrapped
+        world: Any = env.unwrapped
         horizon = options.horizon or HORIZONS[env_name]
         if options.knots is not None and options.knots > horizon:
             raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")

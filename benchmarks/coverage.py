@@ -1,0 +1,109 @@
+"""Figure 6: where the four methods have been in the long maze. ``python -m benchmarks.coverage``.
+
+Runs that do not exist yet are trained first; the picture is drawn from their replay buffers.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from napsp import envs as tasks
+from napsp.checkpoint import read_tensors
+from napsp.config import METHODS, preset
+from napsp.envs.point_maze import INNER_WALLS, OUTER_WALLS
+from napsp.errors import run_command
+from napsp.progress import read_rows
+from napsp.resume import STATE_FILE
+
+
+@dataclass(frozen=True)
+class CoverageOptions:
+    """Draw the state coverage of the four methods."""
+
+    env: str = "point_maze_long"
+    """point_maze or point_maze_long."""
+    seeds: tuple[int, ...] = (0,)
+    """Training seeds; the picture shows the first."""
+    bins: int = 20
+    """Cells per side for the coverage figure."""
+
+
+def visited(folder: Path) -> np.ndarray:
+    """Every position in the replay buffer of a run, in order, ``(E, T + 1, 2)``."""
+    tensors, _ = read_tensors(folder / STATE_FILE, "training state")
+    return tensors["buffer.achieved_goals"].numpy()
+
+
+def coverage(positions: np.ndarray, scale: float, bins: int) -> tuple[float, float]:
+    """Share of cells visited: of the whole house, and of the goal room (upper right)."""
+    grid, _, _ = np.histogram2d(*positions.reshape(-1, 2).T, bins=bins, range=[[-scale, scale]] * 2)
+    return float((grid > 0).mean()), float((grid[bins // 2 :, bins // 2 :] > 0).mean())
+
+
+def draw(path: Path, panels: dict[str, np.ndarray], scale: float, captions: dict[str, str]) -> None:
+    """One panel per method: positions coloured by when they were visited, walls, start and goal rooms."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+    from matplotlib.patches import Rectangle
+
+    figure, axes = plt.subplots(1, len(panels), figsize=(3.2 * len(panels), 3.6), layout="constrained")
+    for axis, (method, positions) in zip(np.atleast_1d(axes), panels.items(), strict=True):
+        points = positions[:, ::2].reshape(-1, 2)
+        order = np.repeat(np.arange(len(positions)), positions[:, ::2].shape[1])
+        dots = axis.scatter(*points.T, c=order, s=0.4, cmap="viridis", rasterized=True)
+        for x, y, half_x, half_y in INNER_WALLS + OUTER_WALLS:
+            corner = (x - half_x - 0.015) * scale, (y - half_y - 0.015) * scale
+            axis.add_patch(Rectangle(corner, 2 * (half_x + 0.015) * scale, 2 * (half_y + 0.015) * scale, color="black"))
+        axis.text(-0.5 * scale, -0.5 * scale, "start", ha="center", color="red")
+        axis.text(0.5 * scale, 0.5 * scale, "goals", ha="center", color="red")
+        axis.set(title=f"{method}\n{captions[method]}", xticks=[], yticks=[], aspect="equal")
+        axis.set(xlim=(-1.05 * scale, 1.05 * scale), ylim=(-1.05 * scale, 1.05 * scale))
+    figure.colorbar(dots, ax=axes, label="training episode", shrink=0.7)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main() -> int:
+    """Train what is missing, measure, draw, append to results/coverage.csv."""
+    options = tyro.cli(CoverageOptions, prog="python -m benchmarks.coverage")
+    env_name, path = tasks.canonical_name(options.env), RESULTS / "coverage.csv"
+    scale = tasks.make(env_name).unwrapped.scale
+    panels: dict[str, np.ndarray] = {}
+    captions: dict[str, str] = {}
+    for seed in options.seeds:
+        for method in METHODS:
+            config = preset(env_name, method=method, seed=seed)
+            folder = trained(config)
+            positions = visited(folder)
+            house, goal_room = coverage(positions, scale, options.bins)
+            last = read_rows(folder / "metrics.csv", np.inf)[-1]
+            key = {"env": env_name, "method": method, "seed": seed, "config_hash": config.hash()}
+            figures = {"coverage": house, "goal_room_coverage": goal_room, "success_rate": last["success_rate"],
+                       "any_success_rate": last["any_success_rate"], "episodes": len(positions)}  # fmt: skip
+            if find(read_results(path), key) is None:
+                append_result(path, {**key, "revision": _revision(folder), **figures})
+            print("  ".join([f"{method:14s} seed {seed}", *(f"{k} {v:.2f}" for k, v in figures.items())]))
+            if seed == options.seeds[0]:
+                panels[method], captions[method] = positions, f"house {house:.0%}, goal room {goal_room:.0%}"
+    picture = RESULTS / f"coverage_{env_name}.png"
+    draw(picture, panels, scale, captions)
+    print(f"picture: {picture}")
+    return 0
+
+
+def _revision(folder: Path) -> str:
+    return read_tensors(folder / "model.safetensors", "model")[1]["revision"]
+
+
+if __name__ == "__main__":
+    run_command(main)
+    sys.exit(0)
