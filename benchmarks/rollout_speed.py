@@ -4,8 +4,8 @@
 model, with the same samples and horizon, and reports medians of paired ratios:
 
 * plan: a whole plan call (sampling, rollouts, cost with the learned d, update);
-* replay: the very same motions (the mocap targets or forces of that plan's samples) handed to
-  one ``mujoco.rollout`` call: the same physics without any of this package;
+* replay: the very same motions handed to one ``mujoco.rollout`` call: the same physics without
+  any of this package;
 * raw: ``mujoco.rollout`` with constant controls;
 * collection: the environment's own step against gymnasium-robotics' stock step on the same model.
 """
@@ -25,6 +25,7 @@ import mujoco
 import numpy as np
 import tyro
 from gymnasium_robotics.envs.fetch.fetch_env import MujocoFetchEnv
+from mujoco.rollout import Rollout
 
 from mpc.controller import Plan
 from mpc.speed import HELD, RawRollout
@@ -35,6 +36,9 @@ from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import run_command
 from planners.cli import OPTIONS
 from planners.session import Session
+
+FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+FINGERS = ("robot0:r_gripper_finger_joint", "robot0:l_gripper_finger_joint")  # set back after each step
 
 
 @dataclass(frozen=True)
@@ -56,29 +60,54 @@ class SpeedOptions:
 
 
 class Replay:
-    """One ``mujoco.rollout`` call that repeats the motions of given action sequences."""
+    """One ``mujoco.rollout`` call that repeats the very motions of given action sequences.
+
+    A control step is one entry of the batch: it starts from the state, warm start, forces and
+    mocap pose that the simulator had at its beginning. So the physics are the same to the bit
+    (checked), although Fetch moves the fingers between control steps, and nothing but MuJoCo
+    runs.
+    """
 
     def __init__(self, dynamics: Dynamics, state: np.ndarray, actions: np.ndarray, n_threads: int) -> None:
-        data = mujoco.MjData(dynamics.model)
+        model, data = dynamics.model, mujoco.MjData(dynamics.model)
         simulation = dynamics.bind(data)
-        controls = dynamics.control(actions)
-        # What the simulator received during each step: ctrl and mocap pose.
-        received = np.empty((*actions.shape[:2], mujoco.mj_stateSize(dynamics.model, HELD)))
-        for sample, sequence in enumerate(controls):
+        n = actions.shape[0] * actions.shape[1]
+        self._starts = np.empty((n, mujoco.mj_stateSize(model, FULL)))
+        self._warmstarts = np.empty((n, model.nv))
+        self._controls = np.empty((n, 1, mujoco.mj_stateSize(model, HELD)))
+        ends = np.empty((n, model.nq))
+        step = 0
+        for sequence in dynamics.control(actions):
             simulation.restore(state)
-            for step, control in enumerate(sequence):
+            for control in sequence:
+                mujoco.mj_getState(model, data, self._starts[step], FULL)
+                self._warmstarts[step] = data.qacc_warmstart
                 simulation.step(control)
-                mujoco.mj_getState(dynamics.model, data, received[sample, step], HELD)
-        self._controls = np.repeat(received, dynamics.substeps, axis=1)
-        self._raw = RawRollout(dynamics, n_threads, state, *actions.shape[:2])
+                mujoco.mj_getState(model, data, self._controls[step, 0], HELD)
+                ends[step] = data.qpos
+                step += 1
+        self._model, self._datas = model, [mujoco.MjData(model) for _ in range(n_threads)]
+        self._n_steps, self._rollout = dynamics.substeps, Rollout(nthread=n_threads)
+        free = [i for i in range(model.nq) if model.joint(i).name not in FINGERS]
+        if not np.array_equal(self()[:, free], ends[:, free]):
+            raise RuntimeError("the replayed motions differ from the planned ones; the comparison would mean nothing")
 
-    def __call__(self) -> None:
-        """Simulate."""
-        self._raw(self._controls)
+    def __call__(self) -> np.ndarray:
+        """Simulate; final joint positions ``(samples * steps, nq)``."""
+        states, _ = self._rollout.rollout(
+            self._model,
+            self._datas,
+            self._starts,
+            self._controls,
+            control_spec=HELD,
+            nstep=self._n_steps,
+            initial_warmstart=self._warmstarts,
+        )
+        return np.asarray(states)[:, -1, 1 : 1 + self._model.nq]
 
     def close(self) -> None:
         """Stop the worker threads."""
-        self._raw.close()
+        self._rollout.close()
 
 
 def clocked(job: Any) -> tuple[float, float]:
@@ -109,7 +138,6 @@ def measure_plan(options: SpeedOptions) -> dict[str, Any]:
         plans: list[Plan] = []
         table["plan"].append(clocked(lambda: plans.append(controller.plan_from(state, observation))))  # noqa: B023
         replay = Replay(world.dynamics, state, tried[0], n_threads)
-        replay()
         table["replay"].append(clocked(replay))
         replay.close()
         raw.close()

@@ -36,10 +36,10 @@ class RawRollout:
         mujoco.mj_getState(self._model, data, values, spec)
         return values
 
-    def __call__(self, controls: np.ndarray | None = None) -> None:
-        """Simulate; ``controls`` ``(N, steps, C)`` of the :data:`HELD` kind replace the constant ones."""
+    def __call__(self) -> None:
+        """Simulate."""
         start = np.tile(self._start, (self._n_samples, 1))
-        controls = self._controls[None, None] if controls is None else controls
+        controls = self._controls[None, None]
         self._rollout.rollout(
             self._model,
             self._datas,

@@ -37,14 +37,14 @@ class FetchReachSimulation:
         gripper, site = model.body("robot0:gripper_link").id, model.site("robot0:grip").id
         self._anchor, self._rotation = data.xpos[gripper], data.xquat[gripper]
         self._target, self._target_rotation = data.mocap_pos[0], data.mocap_quat[0]
-        self._grip, self._velocity = data.site_xpos[site], data.cvel[gripper]
-        self._com = data.subtree_com[model.body_rootid[gripper]]
         fingers = [model.joint(f"robot0:{side}_gripper_finger_joint") for side in ("r", "l")]
         first, first_dof = int(fingers[0].qposadr[0]), int(fingers[0].dofadr[0])
         if int(fingers[1].qposadr[0]) != first + 1:
             raise ValueError("the finger joints of the Fetch model are not neighbours; its layout has changed")
         self._fingers = data.qpos[first : first + 2]
-        self._finger_speeds = data.qvel[first_dof : first_dof + 2]
+        finger_speeds = data.qvel[first_dof : first_dof + 2]
+        centre = data.subtree_com[model.body_rootid[gripper]]
+        self._recorded = (data.site_xpos[site], self._fingers, finger_speeds, data.cvel[gripper], centre)
 
     def step(self, control: np.ndarray) -> None:
         """Re-anchor the mocap to the gripper, displace it, advance, and close the fingers."""
@@ -70,11 +70,7 @@ class FetchReachSimulation:
 
     def record(self, features: np.ndarray) -> None:
         """Write the features ``(16,)`` of a fresh state."""
-        features[0:3] = self._grip
-        features[3:5] = self._fingers
-        features[5:7] = self._finger_speeds
-        features[7:13] = self._velocity
-        features[13:16] = self._com
+        np.concatenate(self._recorded, out=features)
 
     def restore(self, state: np.ndarray) -> None:
         """Load a full integration state and the gripper pose the next step anchors to."""
@@ -202,7 +198,7 @@ class FetchReachWallEnv(FetchReachEnv):
 
     WALL_Y, WALL_HALF_THICKNESS, WALL_X = 0.75, 0.02, (0.70, 1.80)
     TABLE_TOP = 0.40
-    START_GRIP = np.array([1.34, 0.60, 0.45])
+    START_GRIP = np.array([1.34, 0.60, 0.50])
     GOAL_LOW = np.array([1.20, 0.85, 0.42])  # "on the ground": at most 2 cm above the lowest
     GOAL_HIGH = np.array([1.48, 1.00, 0.44])  # grip height the fingers allow (0.4185)
 
@@ -258,6 +254,7 @@ def filter_collisions(spec: mujoco.MjSpec) -> None:
                 continue
             if body.name in GRIPPER_BODIES:
                 geom.conaffinity = 1 | BASE_BIT
+                geom.condim = 3  # sliding friction only: torsion matters for grasping, and nothing is grasped
             elif body.name in LOWER_ARM_BODIES:
                 geom.contype, geom.conaffinity = ARM_BIT, 0
             elif body.name in BASE_BODIES:
