@@ -75,14 +75,14 @@ class Replay:
         self._starts = np.empty((n, mujoco.mj_stateSize(model, FULL)))
         self._warmstarts = np.empty((n, model.nv))
         self._controls = np.empty((n, 1, mujoco.mj_stateSize(model, HELD)))
-        ends = np.empty((n, model.nq))
+        ends, scratch = np.empty((n, model.nq)), np.empty((1, dynamics.n_features))
         step = 0
         for sequence in dynamics.control(actions):
             simulation.restore(state)
             for control in sequence:
                 mujoco.mj_getState(model, data, self._starts[step], FULL)
                 self._warmstarts[step] = data.qacc_warmstart
-                simulation.step(control)
+                simulation.advance(control[None], scratch)
                 mujoco.mj_getState(model, data, self._controls[step, 0], HELD)
                 ends[step] = data.qpos
                 step += 1

@@ -74,15 +74,14 @@ class RolloutEngine:
 
     def follow(self, state: np.ndarray, observation: dict[str, np.ndarray], actor: Actor, horizon: int) -> np.ndarray:
         """Actions ``(H, A)`` of an actor that sees every simulated state, starting from ``state``."""
-        simulation, features = self._simulations[0], np.empty(self.dynamics.n_features)
+        simulation, features = self._simulations[0], np.empty((1, self.dynamics.n_features))
         simulation.restore(state)
         current, goal = observation["observation"], observation["desired_goal"].astype(np.float32)[None]
         actions = []
         for _ in range(horizon):
             actions.append(actor(current.astype(np.float32)[None], goal)[0])
-            simulation.step(self.dynamics.control(actions[-1]))
-            simulation.record(features)
-            current = self.dynamics.observe(features)[0]
+            simulation.advance(self.dynamics.control(actions[-1])[None], features)
+            current = self.dynamics.observe(features[0])[0]
         return np.stack(actions)
 
     def _run_threads(
@@ -109,12 +108,9 @@ class RolloutEngine:
         final_times: np.ndarray,
     ) -> None:
         simulation, data = self._simulations[worker], self._datas[worker]
-        step, record = simulation.step, simulation.record
         for sample in samples:
             simulation.restore(state)
-            for control, row in zip(controls[sample], features[sample], strict=True):
-                step(control)
-                record(row)
+            simulation.advance(controls[sample], features[sample])
             final_times[sample] = data.time
 
     def _run_native(

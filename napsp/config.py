@@ -69,6 +69,9 @@ class TrainConfig:
     # -- triangular loss, eq. 4b --
     triangular_weight: float = 0.1
     """Weight of eq. 4b against eq. 4a; the paper's plain sum is 1."""
+    triangular_mean: Literal["sampled", "passed"] = "sampled"
+    """Average eq. 4b over all sampled tuples (Algorithm 1: the others "do nothing") or over
+    those that pass the test (eq. 4b: a handful of tuples then weighs as much as a full batch)."""
     cap_triangular: bool = True
     """Clip the hypotenuse at the episode length T; without it the loss diverges."""
     require_reached_waypoint: bool = True

@@ -103,7 +103,8 @@ class Learner:
                 first_leg = self.target_distance.steps(*start, waypoint_goal)
                 second_leg = self.target_distance.steps(*waypoint, goal)
             labels = hypotenuse(first_leg, second_leg, cap)  # line 14
-            loss, info = triangular_loss(self.distance, *start, goal, labels)  # line 17
+            n_sampled = config.batch_size if config.triangular_mean == "sampled" else None
+            loss, info = triangular_loss(self.distance, *start, goal, labels, n_sampled)  # line 17
             self._step(config.triangular_weight * loss)
             merged, relaxed = merged + info["merged"], relaxed + info["relaxed"]
         sampled = max(1, config.n_triangular_updates * config.batch_size)

@@ -43,13 +43,16 @@ def triangular_loss(
     actions: Tensor,
     goals: Tensor,
     labels: Tensor,
+    n_sampled: int | None = None,
 ) -> tuple[Tensor, Metrics]:
-    """Mean squared error of d(s_i, a_i, s_g) against hypotenuses, over tuples that passed.
+    """Squared error of d(s_i, a_i, s_g) against hypotenuses of the tuples that passed (eq. 4b).
 
-    Metrics are counts: how many labels raise the distance (``merged``) or lower it
+    Averaged over the ``n_sampled`` tuples drawn, so that those that failed the test count as
+    "do nothing" (Algorithm 1, line 16); None averages over the passed ones (the conditional
+    expectation of eq. 4b). Metrics are counts: how many labels raise the distance (``merged``) or lower it
     (``relaxed``); divided by all sampled tuples they are the rates of figure 5.
     """
     predictions = distance(observations, actions, goals)
-    loss = ((predictions - labels) / distance.horizon).square().mean()
+    loss = ((predictions - labels) / distance.horizon).square().sum() / (n_sampled or len(labels))
     raised = float((labels > predictions.detach()).sum())
     return loss, {"merged": raised, "relaxed": float(len(labels)) - raised}

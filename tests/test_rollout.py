@@ -74,24 +74,23 @@ class WithoutWarmStart(FetchReachSimulation):
 
 
 class WithoutFingerReset(FetchReachSimulation):
-    def close_fingers(self):
-        pass
+    def __init__(self, dynamics, data):
+        super().__init__(dynamics, data)
+        self._fingers = np.zeros(2)  # closes these instead
 
 
 class WithoutMocapAnchor(FetchReachSimulation):
     """Accumulates displacements on the mocap's own pose instead of the gripper's."""
 
-    def step(self, control):
-        anchor, self._anchor = self._anchor, self._target.copy()
-        super().step(control)
-        self._anchor = anchor
+    def __init__(self, dynamics, data):
+        super().__init__(dynamics, data)
+        self._anchor = self._target
 
 
 class WithoutMocapRotation(FetchReachSimulation):
-    def step(self, control):
-        rotation, self._rotation = self._rotation, np.array([1.0, 0.0, 0.0, 0.0])
-        super().step(control)
-        self._rotation = rotation
+    def __init__(self, dynamics, data):
+        super().__init__(dynamics, data)
+        self._rotation = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("broken", [WithoutWarmStart, WithoutFingerReset, WithoutMocapAnchor, WithoutMocapRotation])
@@ -159,12 +158,11 @@ class Bound:
     def __init__(self, dynamics, data):
         self.model, self.data, self.substeps = dynamics.model, data, dynamics.substeps
 
-    def step(self, control):
-        self.data.ctrl[:] = control
-        mujoco.mj_step(self.model, self.data, self.substeps)
-
-    def record(self, features):
-        features[:] = self.data.qpos[0], self.data.qvel[0]
+    def advance(self, controls, features):
+        for control, row in zip(controls, features, strict=True):
+            self.data.ctrl[:] = control
+            mujoco.mj_step(self.model, self.data, self.substeps)
+            row[:] = self.data.qpos[0], self.data.qvel[0]
 
     def restore(self, state):
         mujoco.mj_setState(self.model, self.data, state, INTEGRATION_STATE)

@@ -16,14 +16,14 @@ INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class Simulation(Protocol):
-    """A task's dynamics bound to one ``MjData``: the part that runs once per control step."""
+    """A task's dynamics bound to one ``MjData``."""
 
-    def step(self, control: np.ndarray) -> None:
-        """Apply one control row ``(U,)`` and advance ``substeps`` physics steps."""
+    def advance(self, controls: np.ndarray, features: np.ndarray) -> None:
+        """Run the control steps of rows ``(n, U)``; write what each one leads to, ``(n, F)``."""
         ...
 
-    def record(self, features: np.ndarray) -> None:
-        """Write what observations are made of into ``features`` ``(F,)``."""
+    def observe(self, features: np.ndarray) -> None:
+        """Write the features ``(F,)`` of the current state."""
         ...
 
     def restore(self, state: np.ndarray) -> None:

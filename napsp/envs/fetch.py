@@ -29,7 +29,7 @@ BASE_BIT = 4  # base and torso: meet the gripper
 
 
 class FetchReachSimulation:
-    """The arm on one ``MjData``. Views into the data are made once: they cost more than the arithmetic."""
+    """The arm on one ``MjData``."""
 
     def __init__(self, dynamics: FetchReachDynamics, data: mujoco.MjData) -> None:
         model = dynamics.model
@@ -37,62 +37,64 @@ class FetchReachSimulation:
         gripper, site = model.body("robot0:gripper_link").id, model.site("robot0:grip").id
         self._anchor, self._rotation = data.xpos[gripper], data.xquat[gripper]
         self._target, self._target_rotation = data.mocap_pos[0], data.mocap_quat[0]
-        fingers = [model.joint(f"robot0:{side}_gripper_finger_joint") for side in ("r", "l")]
-        first, first_dof = int(fingers[0].qposadr[0]), int(fingers[0].dofadr[0])
-        if int(fingers[1].qposadr[0]) != first + 1:
-            raise ValueError("the finger joints of the Fetch model are not neighbours; its layout has changed")
-        self._fingers = data.qpos[first : first + 2]
-        finger_speeds = data.qvel[first_dof : first_dof + 2]
-        centre = data.subtree_com[model.body_rootid[gripper]]
-        self._recorded = (data.site_xpos[site], self._fingers, finger_speeds, data.cvel[gripper], centre)
+        self._fingers = data.qpos[dynamics.fingers]
+        frames = data.xaxis.reshape(-1), data.xanchor.reshape(-1)
+        self._recorded = (data.site_xpos[site], self._fingers, data.qvel, *frames)
 
-    def step(self, control: np.ndarray) -> None:
-        """Re-anchor the mocap to the gripper, displace it, advance, and close the fingers."""
-        np.add(self._anchor, control, out=self._target)
-        np.add(self._rotation, GRIPPER_ROTATION, out=self._target_rotation)
-        mujoco.mj_step(self._model, self._data, self._substeps)
-        self.close_fingers()
-        self.refresh()
+    def advance(self, controls: np.ndarray, features: np.ndarray) -> None:
+        """Run control steps ``(n, 3)``, writing features ``(n, F)``.
 
-    def close_fingers(self) -> None:
-        """Fetch reaching blocks the gripper by setting its joints back after every step."""
-        self._fingers.fill(0.0)
-
-    def refresh(self) -> None:
-        """Bring positions and velocities up to date with qpos and qvel.
-
-        Stock Fetch calls mj_forward here; these three give the same numbers to the bit and
-        leave out collisions and the solver.
+        Each re-anchors the mocap to the gripper, displaces it, advances the physics and closes
+        the fingers (Fetch reaching blocks the gripper by setting its joints back). Stock Fetch
+        ends with mj_forward; kinematics give the same poses to the bit.
         """
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_comVel(self._model, self._data)
+        # Names are bound outside the loop: next to the physics, with its caches cold, it is
+        # Python's own look-ups that cost.
+        add, mj_step, mj_kinematics, concatenate = np.add, mujoco.mj_step, mujoco.mj_kinematics, np.concatenate
+        model, data, substeps = self._model, self._data, self._substeps
+        anchor, target, recorded = self._anchor, self._target, self._recorded
+        rotation, target_rotation, close = self._rotation, self._target_rotation, self._fingers.fill
+        for control, row in zip(controls, features, strict=True):
+            add(anchor, control, target)
+            add(rotation, GRIPPER_ROTATION, target_rotation)
+            mj_step(model, data, substeps)
+            close(0.0)
+            mj_kinematics(model, data)
+            concatenate(recorded, 0, row)
 
-    def record(self, features: np.ndarray) -> None:
-        """Write the features ``(16,)`` of a fresh state."""
-        np.concatenate(self._recorded, out=features)
+    def observe(self, features: np.ndarray) -> None:
+        """Write the features ``(F,)`` of the current, fresh state."""
+        np.concatenate(self._recorded, 0, features)
 
     def restore(self, state: np.ndarray) -> None:
         """Load a full integration state and the gripper pose the next step anchors to."""
         mujoco.mj_setState(self._model, self._data, state, INTEGRATION_STATE)
-        self.refresh()
+        mujoco.mj_kinematics(self._model, self._data)
 
 
 class FetchReachDynamics:
     """Mocap control of the gripper with blocked fingers.
 
-    A control row is the displacement of the mocap anchor ``(3,)`` in metres. Features are
-    grip site position (3), finger qpos (2), finger qvel (2), the gripper body's spatial
-    velocity ``cvel`` (6) and the point it refers to (3).
+    A control row is the displacement of the mocap anchor ``(3,)`` in metres. Features, for J
+    joints: grip position (3), finger positions (2), qvel (J), and in world coordinates the
+    joints' axes (3 J) and anchors (3 J), which give the grip's velocity without a Jacobian call.
     """
 
     open_loop = False  # the mocap target is re-anchored to the simulated gripper every step
     substeps = 20
-    n_features = 16
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
+        self.n_features = 5 + 7 * model.njnt
         self._dt = self.substeps * model.opt.timestep
+        right, left = (model.joint(f"robot0:{side}_gripper_finger_joint") for side in ("r", "l"))
+        first = int(right.qposadr[0])
+        if model.nv != model.njnt or int(left.qposadr[0]) != first + 1:
+            raise ValueError("the Fetch model has changed: expected one-dof joints and neighbouring fingers")
+        self.fingers = slice(first, first + 2)
+        self._moves_grip = np.zeros(model.njnt)
+        self._moves_grip[_joints_above(model, model.body("robot0:gripper_link").id)] = 1.0
+        self._hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
 
     def bind(self, data: mujoco.MjData) -> FetchReachSimulation:
         """Simulate on ``data``."""
@@ -109,19 +111,39 @@ class FetchReachDynamics:
         Order: grip position [m], finger positions [m], grip velocity and finger velocities
         [m per control step].
         """
-        position = features[..., 0:3]
-        wx, wy, wz = (features[..., 7 + i] for i in range(3))
-        arm = position - features[..., 13:16]
-        x, y, z = (arm[..., i] for i in range(3))
+        n, position = self.model.njnt, features[..., 0:3]
+        speeds = features[..., 5 : 5 + n] * self._dt
+        frames = features[..., 5 + n :].reshape(*features.shape[:-1], 2, n, 3)
         observation = np.empty((*features.shape[:-1], 10))
-        observation[..., 0:3] = position
-        observation[..., 3:5] = features[..., 3:5]
-        # Velocity of the site: linear part of cvel plus angular velocity x lever arm.
-        observation[..., 5] = (features[..., 10] + (wy * z - wz * y)) * self._dt
-        observation[..., 6] = (features[..., 11] + (wz * x - wx * z)) * self._dt
-        observation[..., 7] = (features[..., 12] + (wx * y - wy * x)) * self._dt
-        observation[..., 8:10] = features[..., 5:7] * self._dt
+        observation[..., 0:5] = features[..., 0:5]
+        self._grip_velocity(position, speeds, frames, observation[..., 5:8])
+        observation[..., 8:10] = speeds[..., self.fingers]
         return observation, position.copy()
+
+    def _grip_velocity(self, position: np.ndarray, speeds: np.ndarray, frames: np.ndarray, out: np.ndarray) -> None:
+        """Sum over the arm's joints: speed * axis for slides, speed * axis x lever for hinges.
+
+        Element-wise arithmetic and sums along a contiguous last axis only, so that a batch of
+        one and a batch of many agree to the bit.
+        """
+        axis = [frames[..., 0, :, i] for i in range(3)]
+        lever = [position[..., i, None] - frames[..., 1, :, i] for i in range(3)]
+        rates = speeds * self._moves_grip
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            turn = axis[j] * lever[k] - axis[k] * lever[j]
+            moved = np.ascontiguousarray(rates * np.where(self._hinges, turn, axis[i]))
+            out[..., i] = moved.sum(-1)
+
+
+def _joints_above(model: mujoco.MjModel, body: int) -> list[int]:
+    """Joints between the world and a body."""
+    joints: list[int] = []
+    while body:
+        first = int(model.body_jntadr[body])
+        joints += range(first, first + int(model.body_jntnum[body]))
+        body = int(model.body_parentid[body])
+    return joints
 
 
 class FetchReachEnv(MujocoFetchReachEnv):
@@ -136,7 +158,6 @@ class FetchReachEnv(MujocoFetchReachEnv):
 
     def __init__(self, arm_self_collision: bool = False, **kwargs: Any) -> None:
         self._arm_self_collision = arm_self_collision
-        self._features = np.zeros(FetchReachDynamics.n_features)
         super().__init__(**kwargs)
 
     def _build_model(self) -> mujoco.MjModel:
@@ -157,6 +178,7 @@ class FetchReachEnv(MujocoFetchReachEnv):
         self.model.vis.global_.offheight = max(self.height, 480)
         self.dynamics = FetchReachDynamics(self.model)
         self._simulation = self.dynamics.bind(self.data)
+        self._features = np.zeros((1, self.dynamics.n_features))
         self._env_setup(initial_qpos=self.initial_qpos)
         self.initial_time = self.data.time
         self.initial_qpos = np.copy(self.data.qpos)
@@ -166,17 +188,23 @@ class FetchReachEnv(MujocoFetchReachEnv):
         """Advance one control step (0.04 s); same result as Fetch's own step, less Python."""
         if np.shape(action) != self.action_space.shape:
             raise ValueError(f"action has shape {np.shape(action)}, expected {self.action_space.shape}")
-        self._simulation.step(self.dynamics.control(action))
+        self._advance(self.dynamics.control(action))
         if self.render_mode == "human":
             self.render()
-        observation = self._get_obs()
+        observation = self._observation()
         reward = self.compute_reward(observation["achieved_goal"], self.goal, {})
         success = bool(self.reached(observation["achieved_goal"], self.goal))
         return observation, float(reward), False, False, {"is_success": success}
 
+    def _advance(self, control: np.ndarray) -> None:
+        self._simulation.advance(control[None], self._features)
+
     def _get_obs(self) -> dict[str, np.ndarray]:
-        self._simulation.record(self._features)
-        observation, achieved_goal = self.dynamics.observe(self._features)
+        self._simulation.observe(self._features[0])
+        return self._observation()
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        observation, achieved_goal = self.dynamics.observe(self._features[0])
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
 
     def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
@@ -224,9 +252,9 @@ class FetchReachWallEnv(FetchReachEnv):
         grip = self.data.site_xpos[self.model.site("robot0:grip").id]
         for _ in range(12):
             step = np.clip(self.START_GRIP - grip, -ACTION_SCALE, ACTION_SCALE)
-            self._simulation.step(step)
+            self._advance(step)
         for _ in range(5):
-            self._simulation.step(np.zeros(3))
+            self._advance(np.zeros(3))
         self.initial_gripper_xpos = grip.copy()
 
     def _sample_goal(self) -> np.ndarray:

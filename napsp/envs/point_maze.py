@@ -80,12 +80,14 @@ class PointMazeSimulation:
     def __init__(self, dynamics: PointMazeDynamics, data: mujoco.MjData) -> None:
         self._model, self._data, self._substeps = dynamics.model, data, dynamics.substeps
 
-    def step(self, control: np.ndarray) -> None:
-        """Apply one force ``(2,)``."""
-        self._data.ctrl[:] = control
-        mujoco.mj_step(self._model, self._data, nstep=self._substeps)
+    def advance(self, controls: np.ndarray, features: np.ndarray) -> None:
+        """Apply forces ``(n, 2)`` one after the other; write features ``(n, 4)``."""
+        for control, row in zip(controls, features, strict=True):
+            self._data.ctrl[:] = control
+            mujoco.mj_step(self._model, self._data, nstep=self._substeps)
+            self.observe(row)
 
-    def record(self, features: np.ndarray) -> None:
+    def observe(self, features: np.ndarray) -> None:
         """Features ``(4,)``: qpos then qvel."""
         features[:2] = self._data.qpos
         features[2:] = self._data.qvel
@@ -140,7 +142,7 @@ class PointMazeEnv(GoalEnv):
         self._simulation = self.dynamics.bind(self.data)
         self.render_mode = render_mode
         self.goal = np.zeros(2)
-        self._features = np.zeros(self.dynamics.n_features)
+        self._features = np.zeros((1, self.dynamics.n_features))
         self._renderer: Any = None
         unbounded = {"low": -np.inf, "high": np.inf, "dtype": np.float64}
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -157,11 +159,12 @@ class PointMazeEnv(GoalEnv):
         self.data.qpos[:] = self.np_random.uniform(-0.8, -0.2, 2) * self.scale
         self.goal = self.np_random.uniform(0.2, 0.8, 2) * self.scale
         mujoco.mj_forward(self.model, self.data)
+        self._simulation.observe(self._features[0])
         return self._observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Advance one control step (0.1 s). Never terminates: reaching a goal is not an end."""
-        self._simulation.step(self.dynamics.control(action))
+        self._simulation.advance(self.dynamics.control(action)[None], self._features)
         observation = self._observation()
         reward = self.compute_reward(observation["achieved_goal"], self.goal, {})
         return observation, float(reward), False, False, {"is_success": bool(reward == 0)}
@@ -189,8 +192,7 @@ class PointMazeEnv(GoalEnv):
         return False
 
     def _observation(self) -> dict[str, np.ndarray]:
-        self._simulation.record(self._features)
-        observation, achieved_goal = self.dynamics.observe(self._features)
+        observation, achieved_goal = self.dynamics.observe(self._features[0])
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
 
     def render(self) -> np.ndarray | None:
