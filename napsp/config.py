@@ -67,8 +67,8 @@ class TrainConfig:
     """SimHash bits of N(s, a, g)."""
 
     # -- triangular loss, eq. 4b --
-    triangular_weight: float = 0.1
-    """Weight of eq. 4b against eq. 4a; the paper's plain sum is 1."""
+    triangular_weight: float = 1.0
+    """Weight of eq. 4b against eq. 4a; 1 is the paper's plain sum."""
     triangular_mean: Literal["sampled", "passed"] = "sampled"
     """Average eq. 4b over all sampled tuples (Algorithm 1: the others "do nothing") or over
     those that pass the test (eq. 4b: a handful of tuples then weighs as much as a full batch)."""

@@ -22,6 +22,7 @@ from napsp.episodes import ExploringActor, evaluate, greedy_actor, roll
 from napsp.errors import run_command
 from napsp.learner import Learner
 from napsp.progress import Progress, Row, read_rows
+from napsp.record import write_record
 from napsp.resume import STATE_FILE, read_training, restore_training, save_training, warmup_episodes
 
 EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
@@ -49,6 +50,8 @@ def train(config: TrainConfig, folder: Path, restart: bool = False, tensorboard:
         if run.finish_iteration(iteration, metrics):
             break
     run.close()
+    if not run.interrupted and run.progress.rows:
+        write_record(folder, config, run.progress.rows)
     return run.progress.rows
 
 

@@ -1,6 +1,7 @@
 """Training end to end: it learns, it is deterministic, it survives being killed, its files are safe."""
 
 import csv
+import json
 import os
 import signal
 import subprocess
@@ -52,6 +53,9 @@ def test_every_method_runs_and_writes_its_files(method, tmp_path, capsys):
     model = load_model(tmp_path, "point_maze")
     assert (model.distance is None) == (method == "sparse")
     assert ("merging_rate" in rows[0]) == (method == "ours")
+    record = json.loads((tmp_path / "training.json").read_text())
+    assert parse(record["command"].split()[3:])[0] == tiny(method=method), "the recorded command repeats the run"
+    assert (tmp_path / "training_curve.png").read_bytes()[:4] == b"\x89PNG"
     assert model.header["episodes"] == 16 and model.config.method == method
 
 

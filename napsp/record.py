@@ -1,0 +1,72 @@
+"""What a training run leaves beside its weights: how it was made, and its curve."""
+
+from __future__ import annotations
+
+import json
+import platform
+from pathlib import Path
+
+import mujoco
+import torch
+
+from napsp.checkpoint import git_revision, write_atomically
+from napsp.config import TrainConfig, preset
+from napsp.progress import Row
+
+
+def command_line(config: TrainConfig) -> str:
+    """The command that repeats a run: the task, method and seed, and what differs from the preset."""
+    default = preset(config.env).to_dict()
+    words = ["python -m napsp.train", f"--env {config.env}", f"--method {config.method}", f"--seed {config.seed}"]
+    for name, value in config.to_dict().items():
+        if name not in ("env", "method", "seed") and value != default[name]:
+            flag = name.replace("_", "-")
+            if isinstance(value, bool):
+                words.append(f"--{flag}" if value else f"--no-{flag}")
+            else:
+                words.append(f"--{flag} {' '.join(map(str, value)) if isinstance(value, list) else value}")
+    return " ".join(words)
+
+
+def write_record(folder: Path, config: TrainConfig, rows: list[Row]) -> None:
+    """Write ``training.json`` and ``training_curve.png``."""
+    record = {
+        "command": command_line(config),
+        "revision": git_revision(),
+        "seed": config.seed,
+        "config_hash": config.hash(),
+        "config": config.to_dict(),
+        "episodes": rows[-1]["episodes"],
+        "minutes": round(rows[-1]["seconds"] / 60, 2),
+        "final": rows[-1],
+        "versions": {"python": platform.python_version(), "torch": torch.__version__, "mujoco": mujoco.__version__},
+    }
+    write_atomically(folder / "training.json", (json.dumps(record, indent=2) + "\n").encode())
+    draw_curve(folder / "training_curve.png", config, rows)
+
+
+def draw_curve(path: Path, config: TrainConfig, rows: list[Row]) -> None:
+    """Success, distances and the rates of the triangular loss over training episodes."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    panels = {
+        "success rate": ("success_rate", "any_success_rate"),
+        "distance [steps]": ("mean_distance", "distance_at_goal"),
+        "rates of eq. 4b": ("merging_rate", "relaxation_rate"),
+    }
+    figure, axes = plt.subplots(1, len(panels), figsize=(10, 2.8), layout="constrained")
+    for axis, (title, names) in zip(axes, panels.items(), strict=True):
+        for name in names:
+            points = [(row["episodes"], row[name]) for row in rows if name in row]
+            if points:
+                axis.plot(*zip(*points, strict=True), label=name.replace("_", " "))
+        axis.set(xlabel="training episodes", title=title)
+        axis.set_ylim(bottom=0)
+        if axis.lines:
+            axis.legend(fontsize=7)
+    figure.suptitle(f"{config.env}, {config.method}, seed {config.seed}", fontsize=10)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
