@@ -89,7 +89,9 @@ class Cost:
         to_go: the estimate of steps to go.
         reached: the environment's success test.
         where: ``terminal`` reads the estimate at the end of the plan, ``mean`` averages it
-            over the states of the plan, ``both`` adds the two.
+            over states of the plan, ``both`` adds the two.
+        n_averaged: at most this many states enter the average, evenly spaced and ending with
+            the last, so that a long plan does not pay for d at states it hardly differs in.
         action_of: what goes in for a in d(s, a, g). ``policy``: a = pi(s, g), after all H
             actions are simulated. ``plan``: the plan's own action; the last one is then not
             simulated, and a horizon of 1 is argmin_a d(s, a, g) without any simulation.
@@ -99,6 +101,7 @@ class Cost:
     reached: Reached
     where: Where = "mean"
     action_of: ActionOf = "policy"
+    n_averaged: int = 8
 
     def simulated_steps(self, horizon: int) -> int:
         """How many actions of a plan have to be simulated."""
@@ -138,16 +141,21 @@ class Cost:
             achieved = _prepend(start["achieved_goal"], achieved)
             here = not self.reached(start["achieved_goal"], goal)
             outside = np.concatenate([np.full((n_samples, 1), here), outside], axis=1)
-        last = slice(-1, None) if self.where == "terminal" else slice(None)
-        states, goals = observations[:, last], achieved[:, last]
-        chosen = actions[:, last].reshape(-1, actions.shape[-1]) if self.action_of == "plan" else None
-        steps = self.to_go(_rows(states), _rows(goals), chosen, goal).reshape(n_samples, -1)
-        along = np.where(outside[:, last], steps, 0.0)
+        read = [-1] if self.where == "terminal" else self._averaged(outside.shape[1])
+        chosen = _rows(actions[:, read]) if self.action_of == "plan" else None
+        steps = self.to_go(_rows(observations[:, read]), _rows(achieved[:, read]), chosen, goal)
+        steps = steps.reshape(n_samples, -1)
+        along = np.where(outside[:, read], steps, 0.0)
         # Once the plan has been at the goal there is nothing left to go at its end.
         at_end = np.where(outside.all(1), steps[:, -1], 0.0)
         if self.where == "terminal":
             return at_end
         return along.mean(1) + (at_end if self.where == "both" else 0.0)
+
+    def _averaged(self, n_states: int) -> np.ndarray:
+        """Indices of the states that are averaged, the last one included."""
+        n = min(self.n_averaged, n_states)
+        return n_states - 1 - np.round(np.arange(n)[::-1] * (n_states / n)).astype(int)
 
 
 def _prepend(first: np.ndarray, rest: np.ndarray) -> np.ndarray:

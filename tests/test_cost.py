@@ -45,6 +45,16 @@ def test_mean_cost_averages_over_the_states_outside_the_goal():
     np.testing.assert_allclose(cost(START, PATHS, ACTIONS, GOAL), expected)
 
 
+def test_long_plans_average_evenly_spaced_states():
+    cost = Cost(steps_to_go, reached, "mean", n_averaged=3)
+    np.testing.assert_array_equal(cost._averaged(9), [2, 5, 8])
+    np.testing.assert_array_equal(cost._averaged(3), [0, 1, 2])
+    np.testing.assert_array_equal(cost._averaged(2), [0, 1])
+    assert all(len(set(cost._averaged(n).tolist())) == min(n, 3) and cost._averaged(n).min() >= 0 for n in range(1, 40))
+    path = trajectories([9, 8, 7, 6, 5, 4, 3, 2, 1])
+    np.testing.assert_allclose(cost(START, path, np.zeros((1, 9, 1)), GOAL), [9 + (7 + 4 + 1) / 3])
+
+
 def test_both_adds_the_two():
     cost = Cost(steps_to_go, reached, "both")
     np.testing.assert_allclose(cost(START, PATHS, ACTIONS, GOAL), [3 + 3 + 2, 1 + 2 / 3, 2 + 1])

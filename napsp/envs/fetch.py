@@ -48,13 +48,13 @@ class FetchReachSimulation:
         the fingers (Fetch reaching blocks the gripper by setting its joints back). Stock Fetch
         ends with mj_forward; kinematics give the same poses to the bit.
         """
-        # Names are bound outside the loop: next to the physics, with its caches cold, it is
-        # Python's own look-ups that cost.
+        # Names are bound and rows are cut outside the loop: between physics steps caches are
+        # cold, and it is Python's own look-ups and allocations that cost.
         add, mj_step, mj_kinematics, concatenate = np.add, mujoco.mj_step, mujoco.mj_kinematics, np.concatenate
         model, data, substeps = self._model, self._data, self._substeps
         anchor, target, recorded = self._anchor, self._target, self._recorded
         rotation, target_rotation, close = self._rotation, self._target_rotation, self._fingers.fill
-        for control, row in zip(controls, features, strict=True):
+        for control, row in zip(list(controls), list(features), strict=True):
             add(anchor, control, target)
             add(rotation, GRIPPER_ROTATION, target_rotation)
             mj_step(model, data, substeps)
