@@ -20,7 +20,7 @@ from scipy.stats import pearsonr, spearmanr
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
 from benchmarks.maze_truth import MazeSearch
 from napsp import envs as tasks
-from napsp.checkpoint import load_model
+from napsp.checkpoint import git_revision, load_model
 from napsp.config import preset
 from napsp.errors import UserError, run_command
 
@@ -105,7 +105,11 @@ def main() -> int:
     )
     print("method          seed  " + "  ".join(name.rjust(13) for name in SHOWN))
     straight = np.linalg.norm(probe.states[:, :2] - probe.goals, axis=1) / tasks.make(env_name).unwrapped.step_length
-    _show("euclidean", "-", agreement(probe, straight))
+    figures = agreement(probe, straight)
+    _show("euclidean", "-", figures)
+    key = {"env": env_name, "method": "euclidean", "seed": "", "config_hash": ""}
+    if find(read_results(path), key) is None:
+        append_result(path, {**key, "revision": git_revision(), **figures})
     for (method, seed), (model, config) in models.items():
         rows = [torch.from_numpy(x.astype(np.float32)) for x in (probe.states, probe.actions, probe.goals)]
         assert model.distance is not None

@@ -1,0 +1,147 @@
+"""Writes the README's results from the rows in ``results/``: ``python -m benchmarks.readme``."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from pathlib import Path
+
+from benchmarks.cells import RESULTS, read_results
+from napsp.checkpoint import write_atomically
+from napsp.errors import run_command
+from napsp.statistics import describe, wilson_interval
+
+README = Path("README.md")
+START, END = "<!-- results:start -->", "<!-- results:end -->"
+
+
+def cost_table() -> list[str]:
+    """Costs for planning, pooled over training seeds."""
+    groups: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
+    for row in read_results(RESULTS / "distance_as_cost.csv"):
+        groups[row["env"], row["variant"]].append(row)
+    lines = [
+        "### Which cost plans (`python -m benchmarks.distance_as_cost --env NAME`)",
+        "",
+        "MPPI, 64 samples, fresh episode seeds, success in the last step with its 95 % Wilson interval over all episodes;",
+        "in brackets behind it the rate of each training seed.",
+        "",
+        "| task | cost | success | per training seed | at goal in some step | steps to goal |",
+        "|---|---|---|---|---|---|",
+    ]
+    for (env, variant), rows in groups.items():
+        n = sum(int(row["episodes"]) for row in rows)
+        successes = sum(round(float(row["success_rate"]) * int(row["episodes"])) for row in rows)
+        any_rate = sum(float(row["any_success_rate"]) for row in rows) / len(rows)
+        steps = [float(row["mean_steps_to_goal"]) for row in rows if row["mean_steps_to_goal"]]
+        seeds = ", ".join(f"{float(row['success_rate']):.2f}" for row in rows) if rows[0]["training_seed"] else "-"
+        lines.append(
+            f"| {env} | {variant} | {describe(successes / n, wilson_interval(successes, n))} | {seeds} | {any_rate:.2f} "
+            f"| {f'{sum(steps) / len(steps):.1f}' if steps else '-'} |"
+        )
+    return lines
+
+
+def training_table() -> list[str]:
+    """Final evaluation of the shipped checkpoints."""
+    lines = [
+        "### Shipped checkpoints",
+        "",
+        "| task | command | episodes | minutes on one core | success | d at the goal |",
+        "|---|---|---|---|---|---|",
+    ]
+    for path in sorted(Path("napsp/checkpoints").glob("*/training.json")):
+        record = json.loads(path.read_text())
+        final = record["final"]
+        lines.append(
+            f"| {path.parent.name} | `{record['command']}` | {record['episodes']:.0f} | {record['minutes']:.1f} "
+            f"| {final['success_rate']:.2f} | {final.get('distance_at_goal', float('nan')):.1f} |"
+        )
+    return lines
+
+
+def learning_table() -> list[str]:
+    """Episodes to success for every training seed."""
+    lines = [
+        "### Learning (`python -m benchmarks.learning --env NAME`)",
+        "",
+        "| task | method | seed | success 1.0 first at episode | last success | last any-step success | best any-step |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in read_results(RESULTS / "learning.csv"):
+        lines.append(
+            f"| {row['env']} | {row['method']} | {row['seed']} | {row['first_full_success'] or 'never'} "
+            f"| {float(row['success_rate']):.2f} | {float(row['any_success_rate']):.2f} "
+            f"| {float(row['best_any_success_rate']):.2f} |"
+        )
+    return lines
+
+
+def accuracy_table() -> list[str]:
+    """Learned distances against exact ones."""
+    lines = [
+        "### Distance accuracy (`python -m benchmarks.distance_accuracy --env point_maze`)",
+        "",
+        "d(s, a, g) for states at rest anywhere, uniform actions and goals, against exact shortest-path steps over the real",
+        "dynamics (breadth-first search with MuJoCo steps as edges). *Task pairs* lead from the start room to the goal room.",
+        "",
+        "| task | method | seed | Spearman | Pearson | ratio CV | mean ratio | Spearman, task pairs |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in read_results(RESULTS / "distance_accuracy.csv"):
+        figures = [f"{float(row[k]):.2f}" for k in ("spearman", "pearson", "ratio_cv", "mean_ratio", "task_spearman")]
+        lines.append(f"| {row['env']} | {row['method']} | {row['seed'] or '-'} | {' | '.join(figures)} |")
+    return lines
+
+
+def coverage_table() -> list[str]:
+    """State coverage of the four methods."""
+    lines = [
+        "### State coverage, figure 6 (`python -m benchmarks.coverage`)",
+        "",
+        "![State coverage of the four methods in the long maze](results/coverage_point_maze_long.png)",
+        "",
+        "| task | method | seed | episodes | house covered | goal room covered | success | any-step success |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in read_results(RESULTS / "coverage.csv"):
+        names = ("coverage", "goal_room_coverage", "success_rate", "any_success_rate")
+        figures = [f"{float(row[k]):.2f}" for k in names]
+        lines.append(f"| {row['env']} | {row['method']} | {row['seed']} | {row['episodes']} | {' | '.join(figures)} |")
+    return lines
+
+
+def speed_table() -> list[str]:
+    """Plan throughput."""
+    lines = [
+        "### Speed (`python -m benchmarks.rollout_speed --env fetch_wall`)",
+        "",
+        "One run, one model, 2 cores; medians of paired rounds. *Replay* is the very same motions in one `mujoco.rollout` call,",
+        "*raw* the same number of steps with constant controls.",
+        "",
+        "| task | samples x horizon | plan / replay (CPU) | plan / raw (CPU) | ms per plan | collection against stock step, same model |",
+        "|---|---|---|---|---|---|",
+    ]
+    for path in sorted(RESULTS.glob("rollout_speed_*.json")):
+        row = json.loads(path.read_text())
+        collection = row.get("collection_speedup_same_model")
+        lines.append(
+            f"| {row['env']} | {row['samples']} x {row['horizon']} | {row['plan_over_replay_cpu']:.2f} "
+            f"| {row['plan_over_raw_cpu']:.2f} | {row['plan_ms']:.0f} | {f'{collection:.2f}x' if collection else '-'} |"
+        )
+    return lines
+
+
+def main() -> int:
+    """Replace the part of the README between the two markers."""
+    tables = (cost_table, training_table, learning_table, accuracy_table, coverage_table, speed_table)
+    body = "\n\n".join("\n".join(table()) for table in tables)
+    text = README.read_text()
+    before, after = text.split(START)[0], text.split(END)[1]
+    write_atomically(README, f"{before}{START}\n\n{body}\n\n{END}{after}".encode())
+    print(f"{README} updated from {RESULTS}/")
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)
