@@ -50,7 +50,7 @@ def train(config: TrainConfig, folder: Path, restart: bool = False, tensorboard:
         if run.finish_iteration(iteration, metrics):
             break
     run.close()
-    if not run.interrupted and run.progress.rows:
+    if not run.interrupted and run.iteration < run.n_iterations:
         write_record(folder, config, run.progress.rows)
     return run.progress.rows
 
