@@ -23,7 +23,7 @@ from napsp.config import preset
 from napsp.episodes import evaluate, greedy_actor
 from napsp.errors import run_command
 from napsp.statistics import describe, wilson_interval
-from planners.cli import OPTIONS
+from planners.options import OPTIONS
 from planners.session import Session
 
 VARIANTS: dict[str, dict[str, Any]] = {

@@ -34,7 +34,7 @@ from napsp.checkpoint import git_revision, write_atomically
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import run_command
-from planners.cli import OPTIONS
+from planners.options import OPTIONS
 from planners.session import Session
 
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS

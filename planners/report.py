@@ -22,7 +22,7 @@ class Report:
 
     def __init__(self, folder: Path, session: Session) -> None:
         self._folder, self._session = folder, session
-        self._results: list[EpisodeResult] = []
+        self.results: list[EpisodeResult] = []
         self._notes: list[str] = []
         # A file or a pipe has no width; a fixed one keeps lines whole.
         self._console = Console(width=None if Console().is_terminal else 110)
@@ -43,10 +43,10 @@ class Report:
 
     def add(self, result: EpisodeResult) -> None:
         """Record an episode and print its line."""
-        self._results.append(result)
-        n, total = len(self._results), self._session.options.episodes
+        self.results.append(result)
+        n, total = len(self.results), self._session.options.episodes
         hit = f"first hit after {result.first_hit:3d} steps" if result.first_hit else "never at the goal      "
-        left = np.mean([r.seconds for r in self._results]) * (total - n)
+        left = np.mean([r.seconds for r in self.results]) * (total - n)
         self._console.print(
             f"  episode {n:3d}/{total}  {'success' if result.success else 'FAILURE'}  {hit}  "
             f"final gap {100 * result.final_gap:5.1f} cm  {np.median(result.plan_ms):6.1f} ms/plan  {left:4.0f} s left",
@@ -58,12 +58,12 @@ class Report:
         summary = self.summary(raw_speed_fraction)
         write_atomically(self._folder / "summary.json", (json.dumps(summary, indent=2) + "\n").encode())
         write_atomically(self._folder / "episodes.csv", self._csv().encode())
-        plot_distance_to_go(self._folder / "distance_to_go.png", self._session, self._results)
+        plot_distance_to_go(self._folder / "distance_to_go.png", self._session, self.results)
         self._print(summary)
 
     def summary(self, raw_speed_fraction: float) -> dict[str, Any]:
         """The content of summary.json."""
-        results, n = self._results, len(self._results)
+        results, n = self.results, len(self.results)
         hits = [r.first_hit for r in results if r.first_hit is not None]
         successes = sum(r.success for r in results)
         plan_ms = np.concatenate([r.plan_ms for r in results])
@@ -85,7 +85,7 @@ class Report:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["seed", "success", "any_success", "first_hit", "final_gap_m", "plan_ms_median", "seconds"])
-        for r in self._results:
+        for r in self.results:
             hit = "" if r.first_hit is None else r.first_hit
             writer.writerow(
                 [r.seed, int(r.success), int(r.first_hit is not None), hit, f"{r.final_gap:.5f}",

@@ -19,8 +19,8 @@ from napsp.checkpoint import Model, git_revision, load_model, shipped_model
 from napsp.envs.dynamics import get_state
 from napsp.episodes import greedy_actor
 from napsp.errors import UserError
-from planners.cli import HORIZONS, PlanOptions
 from planners.mppi import MPPI
+from planners.options import HORIZONS, PlanOptions
 from planners.video import Video
 
 
