@@ -10,17 +10,21 @@ from typing import Any
 
 from napsp.checkpoint import write_atomically
 from napsp.config import TrainConfig
+from napsp.record import RECORD_FILE
 from napsp.train import train
 
 RESULTS = Path("results")
-RUNS = Path("runs")
+RUNS = Path("runs") / "benchmarks"
 
 
 def trained(config: TrainConfig) -> Path:
     """Folder of the finished run of a configuration; trains it, or finishes it, when needed."""
-    folder = RUNS / f"{config.env}-{config.method}-s{config.seed}"
-    print(f"run {folder}")
-    train(config, folder)
+    folder = RUNS / f"{config.env}-{config.method}-s{config.seed}-{config.hash()}"
+    if not (folder / RECORD_FILE).is_file():
+        print(f"training {folder}")
+        train(config, folder)
+    if not (folder / RECORD_FILE).is_file():
+        raise KeyboardInterrupt  # an interrupted run is not a result
     return folder
 
 

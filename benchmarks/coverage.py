@@ -17,8 +17,9 @@ from napsp import envs as tasks
 from napsp.checkpoint import read_tensors
 from napsp.config import METHODS, preset
 from napsp.envs.point_maze import INNER_WALLS, OUTER_WALLS
-from napsp.errors import run_command
+from napsp.errors import UserError, run_command
 from napsp.progress import read_rows
+from napsp.record import save_figure
 from napsp.resume import STATE_FILE
 
 
@@ -68,14 +69,15 @@ def draw(path: Path, panels: dict[str, np.ndarray], scale: float, captions: dict
         axis.set(xlim=(-1.05 * scale, 1.05 * scale), ylim=(-1.05 * scale, 1.05 * scale))
     figure.colorbar(dots, ax=axes, label="training episode", shrink=0.7)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def main() -> int:
     """Train what is missing, measure, draw, append to results/coverage.csv."""
     options = tyro.cli(CoverageOptions, prog="python -m benchmarks.coverage")
     env_name, path = tasks.canonical_name(options.env), RESULTS / "coverage.csv"
+    if not env_name.startswith("point_maze"):
+        raise UserError(f"coverage is drawn for point_maze and point_maze_long only, not for {env_name}")
     scale = tasks.make(env_name).unwrapped.scale
     panels: dict[str, np.ndarray] = {}
     captions: dict[str, str] = {}

@@ -33,7 +33,7 @@ from napsp import envs as tasks
 from napsp.checkpoint import git_revision, write_atomically
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
-from napsp.errors import run_command
+from napsp.errors import UserError, run_command
 from planners.options import OPTIONS
 from planners.session import Session
 
@@ -187,6 +187,8 @@ def measure_collection(env_name: str, rounds: int) -> dict[str, float]:
 def main() -> int:
     """Measure, print, optionally write JSON."""
     options = tyro.cli(SpeedOptions, prog="python -m benchmarks.rollout_speed")
+    if options.rounds < 1:
+        raise UserError(f"--rounds is {options.rounds}; it must be at least 1")
     figures: dict[str, Any] = {
         "env": tasks.canonical_name(options.env),
         "samples": options.samples,

@@ -6,14 +6,18 @@ functions of ``napsp.losses`` - and compares it with scipy's all-pairs shortest 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
+import tyro
 from scipy.sparse.csgraph import floyd_warshall
 from scipy.stats import spearmanr
 from torch import Tensor
 
 from napsp.buffer import EpisodeBuffer, Episodes, sample_pairs, sample_triples
 from napsp.counts import uncertainty
+from napsp.errors import run_command
 from napsp.losses import hypotenuse, temporal_label
 
 WALLS = """
@@ -143,14 +147,26 @@ def _indices(rows: object) -> Tensor:
     return torch.as_tensor(np.asarray(rows), dtype=torch.int64).reshape(-1)
 
 
-def main() -> None:
+@dataclass(frozen=True)
+class TabularOptions:
+    """Learn distances in a table and compare them with Floyd-Warshall."""
+
+    seed: int = 0
+    """Seed of the random walks."""
+    iterations: tuple[int, ...] = (5, 25, 100, 250, 500)
+    """Iterations of ten random walks each."""
+
+
+def main() -> int:
     """Print the comparison."""
+    options = tyro.cli(TabularOptions, prog="python -m benchmarks.tabular")
     world = GridWorld()
-    for n_iterations in (5, 25, 100, 250, 500):
-        distance = learn(world, np.random.default_rng(0), n_iterations)
+    for n_iterations in options.iterations:
+        distance = learn(world, np.random.default_rng(options.seed), n_iterations)
         spearman, ratio = spearman_against_truth(world, distance)
         print(f"{10 * n_iterations:5d} random walks   Spearman {spearman:.3f}   learned / true {ratio:.2f}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

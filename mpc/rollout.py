@@ -37,6 +37,11 @@ class Trajectories:
     diverged: np.ndarray
 
 
+def available_cores() -> int:
+    """Cores this process may use (containers and taskset allow fewer than the machine has)."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class RolloutEngine:
     """Rolls out action sequences from a full simulator state.
 
@@ -47,7 +52,7 @@ class RolloutEngine:
 
     def __init__(self, dynamics: Dynamics, n_threads: int | None = None) -> None:
         self.dynamics = dynamics
-        self.n_threads = n_threads or os.cpu_count() or 1
+        self.n_threads = n_threads or available_cores()
         # MjData takes megabytes: one per thread for good, never one per sample.
         self._datas = [mujoco.MjData(dynamics.model) for _ in range(self.n_threads)]
         self._simulations = [dynamics.bind(data) for data in self._datas]
@@ -58,10 +63,15 @@ class RolloutEngine:
     def rollout(self, state: np.ndarray, actions: np.ndarray) -> Trajectories:
         """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.dynamics.get_state`."""
         n_samples, horizon = actions.shape[:2]
+        # A reset puts the clock to zero: starting later makes even a reset in the first step show.
+        state = state.copy()
+        state[0] += 1.0
         features = np.empty((n_samples, horizon, self.dynamics.n_features))
         final_times = np.empty(n_samples)
         controls = self.dynamics.control(actions)
-        if self.dynamics.open_loop:
+        if horizon == 0:
+            final_times[:] = state[0]  # d(s, a, g) alone: nothing to simulate
+        elif self.dynamics.open_loop:
             self._run_native(state, controls, features, final_times)
         else:
             self._run_threads(state, controls, features, final_times)

@@ -88,6 +88,8 @@ class TrainConfig:
     """Discount of the policy's return."""
     policy_learning_rate: float = 1e-3
     """Adam step size of actor and critics."""
+    clip_values: bool = True
+    """Clip the critics' targets to [-1 / (1 - discount), 0], where the rewards alone would keep them."""
     polyak: float = 0.01
     """Weight of the new critic parameters in their target, per update."""
     entropy_weight: float | None = None
@@ -112,13 +114,16 @@ class TrainConfig:
         object.__setattr__(self, "hidden", tuple(self.hidden))
         if self.method not in METHODS:
             raise UserError(f"unknown method {self.method!r}; choose one of: {', '.join(METHODS)}")
-        for name in ("n_episodes", "episodes_per_iteration", "batch_size", "n_warmup_episodes", "evaluate_every"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} is {getattr(self, name)}; it must be at least 1")
-        if not 1 <= self.visit_bits <= 62 or not 1 <= self.reached_bits <= 62:
-            raise UserError("visit_bits and reached_bits must lie between 1 and 62")
-        if self.uncertainty_scale <= 0 or self.uncertainty_power <= 0:
-            raise UserError("uncertainty_scale and uncertainty_power must be positive (C, M > 0 in eq. 2)")
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:  # false for NaN as well
+                raise UserError(f"{name} is {value}; it must lie between {low:g} and {high:g}")
+        if not self.hidden or min(self.hidden) < 1:
+            raise UserError(f"hidden is {self.hidden}; give at least one width of at least 1")
+        if self.n_episodes <= self.n_warmup_episodes:
+            raise UserError(
+                f"n_episodes is {self.n_episodes}; it must exceed the {self.n_warmup_episodes} warm-up episodes"
+            )
 
     @property
     def horizon(self) -> int:
@@ -140,10 +145,39 @@ class TrainConfig:
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()[:10]
 
 
+MANY, TINY = 10**9, 1e-12
+RANGES: dict[str, tuple[float, float]] = {
+    "seed": (0, 2**31 - 1),
+    "n_episodes": (1, MANY),
+    "n_warmup_episodes": (1, MANY),
+    "episodes_per_iteration": (1, MANY),
+    "n_temporal_updates": (0, MANY),
+    "n_triangular_updates": (0, MANY),
+    "n_policy_updates": (0, MANY),
+    "batch_size": (1, MANY),
+    "distance_learning_rate": (TINY, 1),
+    "target_polyak": (TINY, 1),
+    "uncertainty_scale": (TINY, MANY),  # C, M > 0 in eq. 2
+    "uncertainty_power": (TINY, 100),
+    "visit_bits": (1, 62),
+    "reached_bits": (1, 62),
+    "triangular_weight": (0, MANY),
+    "ddl_window": (1, MANY),
+    "relabel_ratio": (0, 1),
+    "discount": (0, 1 - 1e-6),
+    "policy_learning_rate": (TINY, 1),
+    "polyak": (TINY, 1),
+    "entropy_weight": (TINY, MANY),
+    "min_entropy_weight": (TINY, MANY),
+    "epsilon": (0, 1),
+    "exploration_hold": (1, MANY),
+    "evaluate_every": (1, MANY),
+    "n_evaluation_episodes": (1, MANY),
+}
 PRESETS: dict[str, dict[str, Any]] = {
     "point_maze": {"n_episodes": 1000, "episodes_per_iteration": 4, "evaluate_every": 100},
     "point_maze_long": {
-        "n_episodes": 1000,
+        "n_episodes": 600,
         "episodes_per_iteration": 4,
         "evaluate_every": 100,
         "uncertainty_scale": 20.0,
@@ -162,7 +196,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 def preset(env: str, **overrides: Any) -> TrainConfig:
     """The default configuration of a task."""
     env = canonical_name(env)
-    return TrainConfig(**{"env": env, **PRESETS[env], **overrides})
+    return TrainConfig(**{"env": env, **PRESETS.get(env, {}), **overrides})
 
 
 def from_dict(values: dict[str, Any]) -> TrainConfig:

@@ -37,8 +37,8 @@ class EvaluateOptions:
 def main() -> int:
     """Evaluate, print, optionally write JSON."""
     options = tyro.cli(EvaluateOptions, prog="python -m napsp.evaluate")
-    if options.episodes < 1:
-        raise UserError(f"--episodes is {options.episodes}; it must be at least 1")
+    if options.episodes < 1 or options.seed < 0:
+        raise UserError("--episodes must be at least 1 and --seed at least 0")
     torch.set_num_threads(1)
     env_name = tasks.canonical_name(options.env)
     model = load_model(options.checkpoint or shipped_model(env_name), env_name)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from napsp.buffer import EpisodeBuffer, Episodes, sample_pairs, sample_relabelled, sample_triples
+from napsp.buffer import EpisodeBuffer, Episodes, concatenate, sample_pairs, sample_relabelled, sample_triples
 from napsp.config import TrainConfig
 from napsp.counts import CountModel, uncertainty
 from napsp.losses import Metrics, hypotenuse, temporal_label, temporal_loss, triangular_loss
@@ -55,14 +55,17 @@ class Learner:
         self.buffer.extend(warmup)
         self.counts.update(warmup)
 
-    def train_temporal(self) -> Metrics:
+    def train_temporal(self, recent: Episodes) -> Metrics:
         """Algorithm 1, lines 5-8: fit d to min[j - i, d_old + U] on pairs of D (eq. 4a).
 
-        ``ddl`` fits d to j - i on its most recent episodes only (on-policy).
+        ``ddl`` fits d to j - i on its most recent episodes only, D_last included (on-policy).
         """
         config, losses, distances = self.config, [], []
         on_policy = config.method == "ddl"
-        episodes = self.buffer.episodes(config.ddl_window if on_policy else None)
+        episodes = self.buffer.episodes()
+        if on_policy:
+            older = max(0, config.ddl_window - len(recent))
+            episodes = concatenate([self.buffer.episodes(older), recent]) if older else recent
         for _ in range(config.n_temporal_updates):
             pairs = sample_pairs(episodes, config.batch_size, self.rng)
             inputs = _tensors(pairs.observations, pairs.actions, pairs.goals)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 import platform
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import torch
 
-from napsp.checkpoint import git_revision, write_atomically
+from napsp.checkpoint import write_atomically
 from napsp.config import TrainConfig, preset
 from napsp.progress import Row
+
+RECORD_FILE = "training.json"
 
 
 def command_line(config: TrainConfig) -> str:
@@ -28,11 +32,12 @@ def command_line(config: TrainConfig) -> str:
     return " ".join(words)
 
 
-def write_record(folder: Path, config: TrainConfig, rows: list[Row]) -> None:
-    """Write ``training.json`` and ``training_curve.png``."""
+def write_record(folder: Path, config: TrainConfig, rows: list[Row], revisions: list[str]) -> None:
+    """Write ``training_curve.png``, then ``training.json``; ``revisions`` are those the run was trained by."""
+    draw_curve(folder / "training_curve.png", config, rows)
     record = {
         "command": command_line(config),
-        "revision": git_revision(),
+        "revision": ", ".join(revisions),
         "seed": config.seed,
         "config_hash": config.hash(),
         "config": config.to_dict(),
@@ -41,8 +46,17 @@ def write_record(folder: Path, config: TrainConfig, rows: list[Row]) -> None:
         "final": rows[-1],
         "versions": {"python": platform.python_version(), "torch": torch.__version__, "mujoco": mujoco.__version__},
     }
-    write_atomically(folder / "training.json", (json.dumps(record, indent=2) + "\n").encode())
-    draw_curve(folder / "training_curve.png", config, rows)
+    write_atomically(folder / RECORD_FILE, (json.dumps(record, indent=2) + "\n").encode())
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a matplotlib figure as PNG, atomically, and close it."""
+    from matplotlib import pyplot as plt
+
+    image = io.BytesIO()
+    figure.savefig(image, format="png", dpi=110)
+    plt.close(figure)
+    write_atomically(path, image.getvalue())
 
 
 def draw_curve(path: Path, config: TrainConfig, rows: list[Row]) -> None:
@@ -68,5 +82,4 @@ def draw_curve(path: Path, config: TrainConfig, rows: list[Row]) -> None:
         if axis.lines:
             axis.legend(fontsize=7)
     figure.suptitle(f"{config.env}, {config.method}, seed {config.seed}", fontsize=10)
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    save_figure(figure, path)

@@ -18,7 +18,7 @@ from napsp.learner import Learner
 STATE_FILE = "training_state.safetensors"
 
 
-def save_training(path: Path, learner: Learner, iteration: int, seconds: float) -> None:
+def save_training(path: Path, learner: Learner, iteration: int, seconds: float, revisions: list[str]) -> None:
     """Write networks, optimisers, counts, D and random states after ``iteration`` iterations."""
     tensors: dict[str, Tensor] = {"torch_generator": learner.generator.get_state()}
     for name, network in _networks(learner).items():
@@ -35,6 +35,7 @@ def save_training(path: Path, learner: Learner, iteration: int, seconds: float) 
         "config": learner.config.to_dict(),
         "iteration": iteration,
         "seconds": seconds,
+        "revisions": revisions,
         "rng": learner.rng.bit_generator.state,
     }
     write_tensors(path, tensors, header)

@@ -29,8 +29,8 @@ class SAC:
         self.alpha_optimizer = torch.optim.Adam([self.log_alpha], lr=rate)
         self._target_entropy = -float(sizes[1])
         self._discount, self._polyak = config.discount, config.polyak
-        # Rewards lie in [-1, 0], so no return can leave this interval.
-        self._value_range = (-1.0 / (1.0 - config.discount), 0.0)
+        # Rewards lie in [-1, 0], so no return leaves this interval; the entropy bonus could.
+        self._value_range = (-1.0 / (1.0 - config.discount), 0.0) if config.clip_values else (-math.inf, math.inf)
         self._target_parameters = list(self.target_critic.parameters())
         self._critic_parameters = list(self.critic.parameters())
 

@@ -19,10 +19,10 @@ from napsp.buffer import Episodes, concatenate
 from napsp.checkpoint import MODEL_FILE, git_revision, save_model
 from napsp.config import TrainConfig, preset
 from napsp.episodes import ExploringActor, evaluate, greedy_actor, roll
-from napsp.errors import run_command
+from napsp.errors import UserError, run_command
 from napsp.learner import Learner
 from napsp.progress import Progress, Row, read_rows
-from napsp.record import write_record
+from napsp.record import RECORD_FILE, write_record
 from napsp.resume import STATE_FILE, read_training, restore_training, save_training, warmup_episodes
 
 EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
@@ -36,22 +36,24 @@ def train(config: TrainConfig, folder: Path, restart: bool = False, tensorboard:
     """
     run = Run.open(config, folder, restart, tensorboard)
     learner = run.learner
-    for iteration in range(run.iteration, run.n_iterations):  # Algorithm 1, line 1
-        recent = run.collect(learner.agent.policy)  # 3: D_last
-        learner.counts.update(recent)  # 4
-        metrics: Row = {}
-        if config.learns_distance:
-            metrics |= learner.train_temporal()  # 5-8: eq. 4a
-            learner.update_target()  # 9
-        if config.method == "ours":
-            metrics |= learner.train_triangular(recent)  # 10-17: eq. 3, 4b
-        metrics |= learner.train_policy()  # 18-21
-        learner.buffer.extend(recent)  # 22
-        if run.finish_iteration(iteration, metrics):
-            break
-    run.close()
-    if not run.interrupted and run.iteration < run.n_iterations:
-        write_record(folder, config, run.progress.rows)
+    try:
+        for iteration in range(run.iteration, run.n_iterations):  # Algorithm 1, line 1
+            recent = run.collect(learner.agent.policy)  # 3: D_last
+            learner.counts.update(recent)  # 4
+            metrics: Row = {}
+            if config.learns_distance:
+                metrics |= learner.train_temporal(recent)  # 5-8: eq. 4a
+                learner.update_target()  # 9
+            if config.method == "ours":
+                metrics |= learner.train_triangular(recent)  # 10-17: eq. 3, 4b
+            metrics |= learner.train_policy()  # 18-21
+            learner.buffer.extend(recent)  # 22
+            if run.finish_iteration(iteration, metrics):
+                break
+    finally:
+        run.close()
+    if not run.interrupted and not (folder / RECORD_FILE).is_file():
+        write_record(folder, config, run.progress.rows, run.revisions)
     return run.progress.rows
 
 
@@ -68,7 +70,9 @@ class Run:
     progress: Progress
     seconds_before: float
     started: float
+    revisions: list[str]
     interrupted: bool = False
+    _previous_handler: Any = signal.SIG_DFL
 
     @classmethod
     def open(cls, config: TrainConfig, folder: Path, restart: bool, tensorboard: bool) -> Run:
@@ -79,19 +83,25 @@ class Run:
         envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
         sizes = _sizes(envs[0])
         state = folder / STATE_FILE
-        saved = read_training(state, config) if state.is_file() and not restart else None
+        if restart:
+            for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, "metrics.csv"):
+                (folder / name).unlink(missing_ok=True)
+        saved = read_training(state, config) if state.is_file() else None
         warmup = warmup_episodes(saved[0], config) if saved else _warm_up(envs, config, rng, generator)
         learner = Learner(config, sizes, warmup, _sparse_reward(envs[0]), rng, generator)
-        iteration, rows, seconds = 0, [], 0.0
+        iteration, rows, seconds, revisions = 0, [], 0.0, [git_revision()]
         if saved:
             iteration = restore_training(learner, *saved)
             rows = read_rows(folder / "metrics.csv", len(learner.buffer))
             seconds = saved[1]["seconds"]
+            revisions = list(dict.fromkeys([*saved[1]["revisions"], *revisions]))
             print(f"continuing {folder} at episode {len(learner.buffer)}")
         folder.mkdir(parents=True, exist_ok=True)
         progress = Progress(folder, rows, tensorboard)
-        run = cls(config, folder, envs, sizes, learner, iteration, progress, seconds, time.monotonic())
-        signal.signal(signal.SIGINT, run._interrupt)
+        run = cls(config, folder, envs, sizes, learner, iteration, progress, seconds, time.monotonic(), revisions)
+        if iteration < run.n_iterations:
+            (folder / RECORD_FILE).unlink(missing_ok=True)  # it belongs to a shorter run
+        run._previous_handler = signal.signal(signal.SIGINT, run._interrupt)
         return run
 
     @property
@@ -147,7 +157,7 @@ class Run:
 
     def _save(self, iteration: int, seconds: float) -> None:
         learner = self.learner
-        save_training(self.folder / STATE_FILE, learner, iteration, seconds)
+        save_training(self.folder / STATE_FILE, learner, iteration, seconds, self.revisions)
         distance = learner.distance if self.config.learns_distance else None
         save_model(
             self.folder / MODEL_FILE, learner.agent.policy, distance, self.config, self.sizes, len(learner.buffer)
@@ -161,7 +171,7 @@ class Run:
 
     def close(self) -> None:
         """Release environments; say how to go on after an interruption."""
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, self._previous_handler)
         self.progress.close()
         for env in self.envs:
             env.close()
@@ -229,8 +239,11 @@ def main() -> int:
     torch.set_num_threads(options.threads)
     folder = options.out or Path("runs") / f"{config.env}-{config.method}-s{config.seed}"
     print(f"{config.env}: {config.method}, seed {config.seed}, {config.n_episodes} episodes -> {folder}")
-    rows = train(config, folder, options.restart, options.tensorboard)
-    return 0 if rows else 1
+    if options.threads < 1:
+        raise UserError(f"--threads is {options.threads}; it must be at least 1")
+    torch.set_num_threads(options.threads)
+    train(config, folder, options.restart, options.tensorboard)
+    return 0 if (folder / RECORD_FILE).is_file() else 130
 
 
 if __name__ == "__main__":

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import tyro
 
-from napsp.errors import UserError, run_command
+from napsp.errors import run_command
 from planners.gl import choose_gl
-from planners.options import OPTIONS, PlanOptions
+from planners.options import OPTIONS
 
 
 def main(planner: str) -> None:
@@ -31,13 +31,13 @@ def run(planner: str, arguments: list[str]) -> int:
     from planners.video import Video
 
     options = tyro.cli(OPTIONS[planner], args=arguments, prog=f"python -m planners.{planner}")
-    _check(options)
     torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
     session = Session.open(planner, options)
     folder = options.out or Path("plans") / f"{session.env_name}-{planner}-{options.cost}-s{options.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     report = Report(folder, session)
     report.announce()
+    (folder / "video.mp4").unlink(missing_ok=True)  # an older run's would look like this one's
     video = Video(folder / "video.mp4", session.env.unwrapped) if options.video else None
     with warnings.catch_warnings():
         warnings.simplefilter("default")
@@ -54,10 +54,3 @@ def run(planner: str, arguments: list[str]) -> int:
     report.finish(session.raw_speed_fraction())
     session.close()
     return 0 if len(report.results) == options.episodes else 130
-
-
-def _check(options: PlanOptions) -> None:
-    for name in ("episodes", "samples", "horizon", "knots", "refinements", "threads"):
-        value = getattr(options, name)
-        if value is not None and value < 1:
-            raise UserError(f"--{name} is {value}; it must be at least 1")

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import ctypes.util
 import os
+import subprocess
+import sys
+
+PROBE = "import mujoco; mujoco.GLContext(16, 16).make_current()"
 
 
 def choose_gl() -> None:
@@ -13,8 +17,12 @@ def choose_gl() -> None:
     """
     if "MUJOCO_GL" in os.environ or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         return
-    for library, name in (("EGL", "egl"), ("OSMesa", "osmesa")):
-        if ctypes.util.find_library(library):
-            os.environ["MUJOCO_GL"] = name
-            return
-    os.environ["MUJOCO_GL"] = "disable"
+    names = [name for library, name in (("EGL", "egl"), ("OSMesa", "osmesa")) if ctypes.util.find_library(library)]
+    if len(names) > 1 and not _works("egl"):  # the EGL library may be there without a device
+        names.remove("egl")
+    os.environ["MUJOCO_GL"] = names[0] if names else "disable"
+
+
+def _works(name: str) -> bool:
+    command = [sys.executable, "-c", PROBE]
+    return subprocess.run(command, env={**os.environ, "MUJOCO_GL": name}, capture_output=True).returncode == 0

@@ -6,7 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from napsp.errors import UserError
+
 CostName = Literal["distance", "euclidean", "sparse"]
+
+
+RANGES: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(("episodes", "samples", "horizon", "knots", "refinements", "threads"), (1, 10**6)),
+    "seed": (0, 2**31 - 1),
+    "video_episodes": (0, 10**6),
+    "noise_scale": (0, 100),
+    "noise_correlation": (0, 0.999),
+    "temperature": (1e-9, 1e9),
+}
 
 
 @dataclass(frozen=True)
@@ -38,8 +50,9 @@ class PlanOptions:
     """How knots become controls."""
     refinements: int = 1
     """Rounds of sampling per plan."""
-    proposals: bool = False
-    """Let the policy's own rollout join the samples."""
+    proposals: bool | None = None
+    """Let the policy's own rollout join the samples; default: with the learned distance, which
+    comes with a policy. It keeps the search near states that d has seen."""
     checkpoint: Path | None = None
     """A file or folder written by napsp.train; default: the one that ships with the package.
     A cost that needs no distance needs no checkpoint."""
@@ -51,6 +64,12 @@ class PlanOptions:
     """How many episodes the video shows."""
     threads: int | None = None
     """Simulation threads; default all cores. Plans do not depend on it."""
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name, None)
+            if value is not None and not low <= value <= high:  # false for NaN as well
+                raise UserError(f"--{name.replace('_', '-')} is {value}; it must lie between {low:g} and {high:g}")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from napsp.checkpoint import write_atomically
+from napsp.record import save_figure
 from napsp.statistics import describe, wilson_interval
 from planners.session import EpisodeResult, Session
 
@@ -44,6 +45,7 @@ class Report:
     def add(self, result: EpisodeResult) -> None:
         """Record an episode and print its line."""
         self.results.append(result)
+        write_atomically(self._folder / "episodes.csv", self._csv().encode())
         n, total = len(self.results), self._session.options.episodes
         hit = f"first hit after {result.first_hit:3d} steps" if result.first_hit else "never at the goal      "
         left = np.mean([r.seconds for r in self.results]) * (total - n)
@@ -57,7 +59,6 @@ class Report:
         """Write summary.json, episodes.csv and the plot; print the table."""
         summary = self.summary(raw_speed_fraction)
         write_atomically(self._folder / "summary.json", (json.dumps(summary, indent=2) + "\n").encode())
-        write_atomically(self._folder / "episodes.csv", self._csv().encode())
         plot_distance_to_go(self._folder / "distance_to_go.png", self._session, self.results)
         self._print(summary)
 
@@ -130,5 +131,4 @@ def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResul
     for axis in (left, right):
         axis.set_ylim(bottom=0)
     figure.suptitle(f"{session.env_name}, {session.planner}, {len(results)} episodes")
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save_figure(figure, path)

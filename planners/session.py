@@ -69,13 +69,14 @@ class Session:
             UserError: unknown environment, unusable checkpoint, impossible sizes.
         """
         env_name = tasks.canonical_name(options.env)
-        needs_model = options.cost == "distance" or options.proposals
+        proposals = options.cost == "distance" if options.proposals is None else options.proposals
+        needs_model = options.cost == "distance" or proposals
         model = load_model(options.checkpoint or shipped_model(env_name), env_name) if needs_model else None
         if options.cost == "distance" and model is not None and model.distance is None:
             raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
         env = tasks.make(env_name)
         world: Any = env.unwrapped
-        horizon = options.horizon or HORIZONS[env_name]
+        horizon = options.horizon or HORIZONS.get(env_name, 8)
         if options.knots is not None and options.knots > horizon:
             raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
         _check_goal(options.goal, world)
@@ -89,7 +90,7 @@ class Session:
             options.knots,
             options.interpolation,
             options.refinements,
-            greedy_actor(model.policy) if options.proposals and model else None,
+            greedy_actor(model.policy) if proposals and model else None,
         )
         return cls(planner, options, env, env_name, controller, model)
 
@@ -188,4 +189,6 @@ def _steps_to_go(options: PlanOptions, model: Model | None, world: Any) -> Steps
 
 
 def _action_of(options: PlanOptions) -> Any:
-    return options.action_of if options.cost == "distance" else "policy"
+    if options.action_of == "plan" and options.cost != "distance":
+        raise UserError(f"--action-of plan needs --cost distance: {options.cost} does not read actions")
+    return options.action_of

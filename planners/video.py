@@ -23,6 +23,7 @@ class Video:
 
     def __init__(self, path: Path, world: Any) -> None:
         self._path, self._world = path, world
+        self._partial = path.with_name(f".{path.stem}.partial{path.suffix}")
         self._writer: Any = None
         self._problem: str | None = None
         # Rendering must not touch the planner's world: everything here is a copy.
@@ -67,7 +68,11 @@ class Video:
         self._draw_plans(plan)
         if self._writer is None:
             self._writer = imageio_ffmpeg.write_frames(
-                str(self._path), (WIDTH, HEIGHT), fps=FRAMES_PER_SECOND, macro_block_size=16, ffmpeg_log_level="error"
+                str(self._partial),
+                (WIDTH, HEIGHT),
+                fps=FRAMES_PER_SECOND,
+                macro_block_size=16,
+                ffmpeg_log_level="error",
             )
             self._writer.send(None)
         self._writer.send(np.ascontiguousarray(self._renderer.render()))
@@ -111,5 +116,6 @@ class Video:
             self._renderer.close()
         if self._writer is not None:
             self._writer.close()
+            self._partial.replace(self._path)
             return f"video: {self._path}"
         return self._problem or "no video: no frames"

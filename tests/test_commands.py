@@ -80,7 +80,14 @@ def test_same_seed_same_result(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options", [["--knots", "3", "--interpolation", "cubic"], ["--action-of", "plan"], ["--proposals"]]
+    "options",
+    [
+        ["--knots", "3", "--interpolation", "cubic"],
+        ["--action-of", "plan"],
+        ["--action-of", "plan", "--horizon", "1"],
+        ["--no-proposals"],
+        ["--proposals", "--knots", "4"],
+    ],
 )
 def test_options_run(options, tmp_path):
     arguments = ["--env", "point_maze", "--episodes", "1", "--samples", "8", "--no-video", "--out", str(tmp_path)]
@@ -93,11 +100,20 @@ def test_options_run(options, tmp_path):
         (["planners.mppi", "--env", "nope"], "unknown environment 'nope'; choose one of: point_maze"),
         (["napsp.train", "--env", "nope"], "unknown environment 'nope'"),
         (["napsp.evaluate", "--env", "nope"], "unknown environment 'nope'"),
-        (["planners.mppi", "--samples", "0"], "--samples is 0; it must be at least 1"),
+        (["planners.mppi", "--samples", "0"], "--samples is 0; it must lie between 1"),
         (["planners.mppi", "--knots", "9"], "--knots 9 exceeds the horizon of 5"),
         (["planners.mppi", "--checkpoint", "nowhere"], "no checkpoint at nowhere"),
         (["planners.mppi", "--env", "point_maze_long"], "no checkpoint ships for point_maze_long"),
-        (["napsp.train", "--batch-size", "0"], "batch_size is 0; it must be at least 1"),
+        (
+            ["planners.mppi", "--noise-correlation", "1.5"],
+            "--noise-correlation is 1.5; it must lie between 0 and 0.999",
+        ),
+        (["planners.mppi", "--seed", "-1"], "--seed is -1"),
+        (["planners.mppi", "--cost", "sparse", "--action-of", "plan"], "--action-of plan needs --cost distance"),
+        (["napsp.train", "--discount", "1"], "discount is 1.0; it must lie between"),
+        (["benchmarks.rollout_speed", "--samples", "0"], "--samples is 0"),
+        (["benchmarks.coverage", "--env", "fetch_reach"], "point_maze and point_maze_long only"),
+        (["napsp.train", "--batch-size", "0"], "batch_size is 0; it must lie between 1"),
     ],
 )
 def test_bad_input_is_one_line_and_a_failing_exit_code(arguments, words):

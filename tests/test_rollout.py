@@ -168,13 +168,23 @@ class Bound:
         mujoco.mj_setState(self.model, self.data, state, INTEGRATION_STATE)
 
 
+@pytest.mark.parametrize("name", ["point_maze", "fetch_wall"])
+def test_no_steps_is_a_legal_rollout(name, worlds):
+    world = worlds[name]
+    world.reset(seed=0)
+    with RolloutEngine(world.dynamics, 2) as engine:
+        actions = np.zeros((3, 0, world.action_space.shape[0]), np.float32)
+        trajectories = engine.rollout(get_state(world.model, world.data), actions)
+    assert trajectories.achieved_goals.shape[:2] == (3, 0) and not trajectories.diverged.any()
+
+
 @pytest.mark.parametrize("open_loop", [True, False])
 def test_divergence_is_detected_although_mujoco_resets_to_finite_values(open_loop, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its log into the working directory
     dynamics = Explosive(open_loop)
     data = mujoco.MjData(dynamics.model)
     actions = np.zeros((3, 4, 1))
-    actions[1] = 1.0
+    actions[1, 0] = 1.0  # in the very first physics step, from time zero
     with RolloutEngine(dynamics, 2) as engine:
         trajectories = engine.rollout(get_state(dynamics.model, data), actions)
     assert trajectories.diverged.tolist() == [False, True, False]

@@ -1,11 +1,13 @@
 """Training end to end: it learns, it is deterministic, it survives being killed, its files are safe."""
 
 import csv
+import dataclasses
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -13,7 +15,7 @@ import pytest
 import torch
 
 from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, save_model, write_atomically, write_tensors
-from napsp.config import METHODS, from_dict, preset
+from napsp.config import METHODS, RANGES, TrainConfig, from_dict, preset
 from napsp.errors import UserError
 from napsp.networks import DistanceNetwork, GaussianPolicy
 from napsp.resume import STATE_FILE
@@ -103,11 +105,17 @@ def test_killed_at_a_random_moment_it_continues(tmp_path):
 
 def test_interrupt_saves_and_the_same_command_goes_on(tmp_path, capsys):
     config = tiny(n_episodes=4000)
-    timer = subprocess.Popen(
-        [sys.executable, "-c", f"import time, os, signal; time.sleep(1.5); os.kill({os.getpid()}, signal.SIGINT)"]
-    )
+
+    def interrupt_once_it_works():
+        while not (tmp_path / "metrics.csv").is_file():
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    killer = threading.Thread(target=interrupt_once_it_works)
+    killer.start()
     train(config, tmp_path)
-    timer.wait()
+    killer.join()
+    assert not (tmp_path / "training.json").exists(), "an interrupted run has no record"
     assert "the same command continues it" in capsys.readouterr().out
     assert read_tensors(tmp_path / STATE_FILE, "training state")[1]["iteration"] > 0
 
@@ -128,14 +136,27 @@ def test_command_line_defaults_follow_the_task():
 def test_bad_settings_name_the_fix():
     for changes, words in (
         ({"method": "magic"}, "choose one of: sparse, ddl, offpolicy_ddl, ours"),
-        ({"batch_size": 0}, "batch_size is 0"),
-        ({"uncertainty_scale": 0.0}, "must be positive"),
+        ({"batch_size": 0}, "batch_size is 0; it must lie between 1"),
+        ({"uncertainty_scale": 0.0}, "uncertainty_scale is 0.0"),
         ({"visit_bits": 99}, "between 1 and 62"),
+        ({"seed": -1}, "seed is -1"),
+        ({"discount": 1.0}, "discount is 1.0"),
+        ({"epsilon": float("nan")}, "epsilon is nan"),
+        ({"hidden": ()}, "at least one width"),
+        ({"n_episodes": 4}, "must exceed the 4 warm-up episodes"),
     ):
         with pytest.raises(UserError, match=words):
             tiny(**changes)
     with pytest.raises(UserError, match="does not fit this version"):
         from_dict({**tiny().to_dict(), "colour": 1})
+
+
+def test_every_number_has_a_range():
+    numbers = {f.name for f in dataclasses.fields(TrainConfig) if "int" in str(f.type) or "float" in str(f.type)}
+    assert numbers - {"hidden"} == set(RANGES)
+    for name, (low, _) in RANGES.items():
+        with pytest.raises(UserError, match=f"{name} is"):
+            tiny(**{name: low - 1})
 
 
 def test_hash_ignores_the_seed_only():
