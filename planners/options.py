@@ -43,7 +43,7 @@ class PlanOptions:
     samples: int = 64
     """Plans per refinement."""
     horizon: int | None = None
-    """Control steps per plan; default by task (5 for Fetch, 8 for the mazes)."""
+    """Control steps per plan; default by task (5 for Fetch, 16 for the mazes)."""
     knots: int | None = None
     """Spline knots per plan; default one per control step."""
     interpolation: Literal["zero", "linear", "cubic"] = "linear"
@@ -85,4 +85,4 @@ class MPPIOptions(PlanOptions):
 
 
 OPTIONS: dict[str, type[PlanOptions]] = {"mppi": MPPIOptions}
-HORIZONS = {"point_maze": 8, "point_maze_long": 8, "fetch_reach": 5, "fetch_wall": 5}
+HORIZONS = {"point_maze": 16, "point_maze_long": 16, "fetch_reach": 5, "fetch_wall": 5}
