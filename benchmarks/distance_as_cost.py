@@ -28,10 +28,10 @@ from planners.session import Session
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "distance, mean along the plan": {"cost": "distance", "where": "mean"},
-    "distance, end of the plan": {"cost": "distance", "where": "terminal"},
-    "distance, mean, no policy proposals": {"cost": "distance", "where": "mean", "proposals": False},
     "euclidean, mean along the plan": {"cost": "euclidean", "where": "mean"},
     "policy alone": {},
+    "distance, end of the plan": {"cost": "distance", "where": "terminal"},
+    "distance, mean, no policy proposals": {"cost": "distance", "where": "mean", "proposals": False},
 }
 
 
