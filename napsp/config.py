@@ -182,6 +182,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "evaluate_every": 100,
         "uncertainty_scale": 20.0,
         "n_policy_updates": 100,
+        "exploration_hold": 1,  # the paper's epsilon exploration: with held actions even sparse crosses the house
+        "epsilon": 0.3,
     },
     "fetch_reach": {
         "n_episodes": 400,
