@@ -51,6 +51,9 @@ class SpeedOptions:
     """Plans per call."""
     horizon: int = 15
     """Control steps per plan."""
+    proposals: bool = False
+    """Let the policy's own rollout join the samples, as planning does by default; it is
+    simulated step by step before the batch."""
     rounds: int = 15
     """Interleaved rounds; the figures are medians of per-round ratios."""
     threads: int | None = None
@@ -121,7 +124,13 @@ def measure_plan(options: SpeedOptions) -> dict[str, Any]:
     """Paired ratios of plan, replay and raw."""
     session = Session.open(
         "mppi",
-        OPTIONS["mppi"](env=options.env, samples=options.samples, horizon=options.horizon, threads=options.threads),
+        OPTIONS["mppi"](
+            env=options.env,
+            samples=options.samples,
+            horizon=options.horizon,
+            threads=options.threads,
+            proposals=options.proposals,
+        ),
     )
     world, controller = session.env.unwrapped, session.controller
     n_threads = controller.engine.n_threads

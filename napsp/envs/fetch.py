@@ -7,6 +7,7 @@ control step as functions of ``(model, data)`` that environment and planner shar
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -48,19 +49,22 @@ class FetchReachSimulation:
         the fingers (Fetch reaching blocks the gripper by setting its joints back). Stock Fetch
         ends with mj_forward; kinematics give the same poses to the bit.
         """
-        # Names are bound and rows are cut outside the loop: between physics steps caches are
-        # cold, and it is Python's own look-ups and allocations that cost.
-        add, mj_step, mj_kinematics, concatenate = np.add, mujoco.mj_step, mujoco.mj_kinematics, np.concatenate
-        model, data, substeps = self._model, self._data, self._substeps
-        anchor, target, recorded = self._anchor, self._target, self._recorded
-        rotation, target_rotation, close = self._rotation, self._target_rotation, self._fingers.fill
+        # Calls are bound and rows are cut outside the loop: between physics steps caches are
+        # cold, and what Python looks up, allocates or shares between threads costs most.
+        target = self._target
+        displace = partial(np.add, self._anchor)
+        rotate = partial(np.add, self._rotation, GRIPPER_ROTATION.copy(), self._target_rotation)
+        step = partial(mujoco.mj_step, self._model, self._data, self._substeps)
+        close_fingers = partial(self._fingers.fill, 0.0)
+        update_poses = partial(mujoco.mj_kinematics, self._model, self._data)
+        record = partial(np.concatenate, self._recorded, 0)
         for control, row in zip(list(controls), list(features), strict=True):
-            add(anchor, control, target)
-            add(rotation, GRIPPER_ROTATION, target_rotation)
-            mj_step(model, data, substeps)
-            close(0.0)
-            mj_kinematics(model, data)
-            concatenate(recorded, 0, row)
+            displace(control, target)
+            rotate()
+            step()
+            close_fingers()
+            update_poses()
+            record(row)
 
     def observe(self, features: np.ndarray) -> None:
         """Write the features ``(F,)`` of the current, fresh state."""
