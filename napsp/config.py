@@ -180,7 +180,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "n_episodes": 600,
         "episodes_per_iteration": 4,
         "evaluate_every": 100,
-        "uncertainty_scale": 20.0,
+        "uncertainty_scale": 40.0,
         "n_policy_updates": 100,
         "exploration_hold": 1,  # the paper's epsilon exploration: with held actions even sparse crosses the house
         "epsilon": 0.3,

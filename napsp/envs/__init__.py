@@ -16,7 +16,7 @@ from napsp.errors import UserError  # noqa: E402
 TASKS: dict[str, tuple[str, str, dict, int]] = {
     # name: (Gymnasium id, entry point, keyword arguments, episode length in control steps)
     "point_maze": ("napsp/PointMaze-v0", "napsp.envs.point_maze:PointMazeEnv", {}, 50),
-    "point_maze_long": ("napsp/PointMazeLong-v0", "napsp.envs.point_maze:PointMazeEnv", {"scale": 2.0}, 100),
+    "point_maze_long": ("napsp/PointMazeLong-v0", "napsp.envs.point_maze:PointMazeEnv", {"scale": 4.0}, 200),
     "fetch_reach": ("napsp/FetchReach-v0", "napsp.envs.fetch:FetchReachEnv", {}, 50),
     "fetch_wall": ("napsp/FetchReachWall-v0", "napsp.envs.fetch:FetchReachWallEnv", {}, 50),
 }

@@ -125,7 +125,7 @@ class PointMazeEnv(GoalEnv):
 
     Action: force per axis in [-1, 1] ``(2,)``. Observation: (x, y, vx, vy). Goal: (x, y),
     reached within ``0.1 * scale`` metres. Reward: 0 when reached, else -1. One control step
-    lasts 0.1 s. ``scale=2`` doubles every length at the same speed: twice as many steps.
+    lasts 0.1 s. ``scale=4`` makes every length four times as long at the same speed.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
