@@ -22,7 +22,7 @@ def start_episode(world, seed, contact):
         push = np.zeros(shape[1:], np.float32)
         push[: min(3, len(push))] = [0.1, 0.5, -1.0][: min(3, len(push))]
         actions = 0.3 * actions + push
-        for _ in range(15):
+        for _ in range(15 * int(getattr(world, "scale", 1))):
             world.step(push)
     return actions.astype(np.float32)
 
