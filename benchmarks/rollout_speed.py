@@ -12,7 +12,6 @@ model, with the same samples and horizon, and reports medians of paired ratios:
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -30,7 +29,7 @@ from mujoco.rollout import Rollout
 from mpc.controller import Plan
 from mpc.speed import HELD, RawRollout
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision, write_atomically
+from napsp.checkpoint import git_revision, write_json
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import UserError, run_command
@@ -213,8 +212,7 @@ def main() -> int:
     for name, value in figures.items():
         print(f"{name:32s} {value:.3f}" if isinstance(value, float) else f"{name:32s} {value}")
     if options.out is not None:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(options.out, (json.dumps(figures, indent=2) + "\n").encode())
+        write_json(options.out, figures)
     return 0
 
 

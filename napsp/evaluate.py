@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import torch
 import tyro
 
 from napsp import envs as tasks
-from napsp.checkpoint import load_model, shipped_model, write_atomically
+from napsp.checkpoint import load_model, shipped_model, write_json
 from napsp.episodes import evaluate, greedy_actor
 from napsp.errors import UserError, run_command
 from napsp.statistics import describe, wilson_interval
@@ -65,8 +64,7 @@ def main() -> int:
           f"at goal in some step {describe(figures['any_success_rate'], figures['any_success_interval_95'])}, "
           f"steps to goal {'-' if not len(hits) else f'{hits.mean():.1f}'}")  # fmt: skip
     if options.out is not None:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(options.out, (json.dumps(figures, indent=2) + "\n").encode())
+        write_json(options.out, figures)
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import platform
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import mujoco
 import torch
 
-from napsp.checkpoint import write_atomically
+from napsp.checkpoint import write_atomically, write_json
 from napsp.config import TrainConfig, preset
 from napsp.progress import Row
 
@@ -46,7 +45,7 @@ def write_record(folder: Path, config: TrainConfig, rows: list[Row], revisions: 
         "final": rows[-1],
         "versions": {"python": platform.python_version(), "torch": torch.__version__, "mujoco": mujoco.__version__},
     }
-    write_atomically(folder / RECORD_FILE, (json.dumps(record, indent=2) + "\n").encode())
+    write_json(folder / RECORD_FILE, record)
 
 
 def save_figure(figure: Any, path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from napsp.checkpoint import write_atomically
+from napsp.checkpoint import write_atomically, write_json
 from napsp.record import save_figure
 from napsp.statistics import describe, wilson_interval
 from planners.session import EpisodeResult, Session
@@ -58,7 +57,7 @@ class Report:
     def finish(self, raw_speed_fraction: float) -> None:
         """Write summary.json, episodes.csv and the plot; print the table."""
         summary = self.summary(raw_speed_fraction)
-        write_atomically(self._folder / "summary.json", (json.dumps(summary, indent=2) + "\n").encode())
+        write_json(self._folder / "summary.json", summary)
         plot_distance_to_go(self._folder / "distance_to_go.png", self._session, self.results)
         self._print(summary)
 
