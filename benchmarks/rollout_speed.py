@@ -23,7 +23,6 @@ import gymnasium
 import mujoco
 import numpy as np
 import tyro
-from gymnasium_robotics.envs.fetch.fetch_env import MujocoFetchEnv
 from mujoco.rollout import Rollout
 
 from mpc.controller import Plan
@@ -162,15 +161,16 @@ def measure_plan(options: SpeedOptions) -> dict[str, Any]:
     }
 
 
-class StockStep(FetchReachEnv):
-    """The same model stepped by gymnasium-robotics' own code."""
-
-    step = MujocoFetchEnv.step
-    _get_obs = MujocoFetchEnv._get_obs
-
-
 def measure_collection(env_name: str, rounds: int) -> dict[str, float]:
     """CPU time per step: stock step, ours on the same model, ours with the filtered arm."""
+    from gymnasium_robotics.envs.fetch.fetch_env import MujocoFetchEnv
+
+    class StockStep(FetchReachEnv):
+        """The same model stepped by gymnasium-robotics' own code."""
+
+        step = MujocoFetchEnv.step
+        _get_obs = MujocoFetchEnv._get_obs
+
     envs = {
         "stock": StockStep(arm_self_collision=True),
         "ours_same_model": FetchReachEnv(arm_self_collision=True),

@@ -50,9 +50,9 @@ class PlanOptions:
     """How knots become controls."""
     refinements: int = 1
     """Rounds of sampling per plan."""
-    proposals: bool | None = None
-    """Let the policy's own rollout join the samples; default: with the learned distance, which
-    comes with a policy. It keeps the search near states that d has seen."""
+    proposals: bool = True
+    """With the learned distance: let the rollout of the policy that was trained with it join
+    the samples, which keeps the search near states that d has seen. Other costs go without."""
     checkpoint: Path | None = None
     """A file or folder written by napsp.train; default: the one that ships with the package.
     A cost that needs no distance needs no checkpoint."""

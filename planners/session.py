@@ -69,8 +69,7 @@ class Session:
             UserError: unknown environment, unusable checkpoint, impossible sizes.
         """
         env_name = tasks.canonical_name(options.env)
-        proposals = options.cost == "distance" if options.proposals is None else options.proposals
-        needs_model = options.cost == "distance" or proposals
+        needs_model = options.cost == "distance"
         model = load_model(options.checkpoint or shipped_model(env_name), env_name) if needs_model else None
         if options.cost == "distance" and model is not None and model.distance is None:
             raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
@@ -90,7 +89,7 @@ class Session:
             options.knots,
             options.interpolation,
             options.refinements,
-            greedy_actor(model.policy) if proposals and model else None,
+            greedy_actor(model.policy) if options.proposals and model else None,
         )
         return cls(planner, options, env, env_name, controller, model)
 
