@@ -149,10 +149,10 @@ def test_maze_rooms_and_walls(name, worlds):
 def test_stable_baselines3_trains_with_her(name):
     from stable_baselines3 import SAC, HerReplayBuffer
 
-    env = envs.make(name)
+    env, steps = envs.make(name), envs.episode_length(name) + 20
     model = SAC(
-        "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=150, batch_size=32, seed=0
+        "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=steps, batch_size=32, seed=0
     )
-    model.learn(220)
-    assert model.num_timesteps == 220
+    model.learn(steps + 60)
+    assert model.num_timesteps == steps + 60
     env.close()
