@@ -127,16 +127,18 @@ def speed_table() -> list[str]:
         "### Speed (`python -m benchmarks.rollout_speed --env fetch_wall`)",
         "",
         "One run, one model, 2 cores; medians of paired rounds. *Replay* is the very same motions in one `mujoco.rollout` call,",
-        "*raw* the same number of steps with constant controls.",
+        "*raw* the same number of steps with constant controls. With the policy's proposal (the default of `--cost distance`) one rollout",
+        "of the policy is simulated step by step before the batch.",
         "",
-        "| task | samples x horizon | plan / replay (CPU) | plan / raw (CPU) | ms per plan | collection against stock step, same model |",
-        "|---|---|---|---|---|---|",
+        "| task | samples x horizon | policy proposal | plan / replay (CPU) | plan / raw (CPU) | ms per plan | collection against stock step, same model |",
+        "|---|---|---|---|---|---|---|",
     ]
     for path in sorted(RESULTS.glob("rollout_speed_*.json")):
         row = json.loads(path.read_text())
         collection = row.get("collection_speedup_same_model")
         lines.append(
-            f"| {row['env']} | {row['samples']} x {row['horizon']} | {row['plan_over_replay_cpu']:.2f} "
+            f"| {row['env']} | {row['samples']} x {row['horizon']} | {'yes' if row.get('proposals') else 'no'} "
+            f"| {row['plan_over_replay_cpu']:.2f} "
             f"| {row['plan_over_raw_cpu']:.2f} | {row['plan_ms']:.0f} | {f'{collection:.2f}x' if collection else '-'} |"
         )
     return lines

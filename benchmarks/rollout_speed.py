@@ -201,6 +201,7 @@ def main() -> int:
         "env": tasks.canonical_name(options.env),
         "samples": options.samples,
         "horizon": options.horizon,
+        "proposals": options.proposals,
         "threads": options.threads or os.cpu_count(),
         "mujoco": mujoco.__version__,
         "gymnasium": gymnasium.__version__,
