@@ -1,5 +1,7 @@
 """The tasks keep Gymnasium's rules, equal stock Fetch, and their walls are walls."""
 
+import subprocess
+import sys
 import warnings
 
 import gymnasium
@@ -81,14 +83,20 @@ def test_equals_stock_fetch_reach_bit_for_bit():
             first, second = stock.step(action)[0], ours.step(action)[0]
 
 
+def can_render():
+    """Whether mujoco can create an OpenGL context, without any code of this package."""
+    code = "import mujoco; mujoco.GLContext(16, 16).make_current()"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
+
+
 def test_rendering_does_not_change_the_dynamics(worlds):
+    # Only a missing OpenGL excuses this test; an error of our own rendering fails it.
+    if not can_render():
+        pytest.skip("no off-screen OpenGL on this machine: nothing can be drawn")
     plain = worlds["fetch_wall"]
     drawn = FetchReachWallEnv(render_mode="rgb_array")
-    try:
-        drawn.reset(seed=0)
-        drawn.render()
-    except Exception as error:
-        pytest.skip(f"no off-screen OpenGL here: {error}")
+    drawn.reset(seed=0)
+    drawn.render()
     plain.reset(seed=3), drawn.reset(seed=3)
     rng = np.random.default_rng(0)
     for _ in range(15):
