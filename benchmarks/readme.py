@@ -57,7 +57,7 @@ def training_table() -> list[str]:
     lines = [
         "### Shipped checkpoints",
         "",
-        "| task | command | episodes | minutes on one core | success | d at the goal |",
+        "| task | command | episodes | wall minutes, machine shared | success | d at the goal |",
         "|---|---|---|---|---|---|",
     ]
     for path in sorted(Path("napsp/checkpoints").glob("*/training.json")):
