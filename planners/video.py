@@ -43,13 +43,16 @@ class Video:
             if self._model.body_mocapid[self._model.geom_bodyid[geom]] >= 0:
                 self._model.geom_rgba[geom, 3] = 0.0  # Fetch draws its mocap anchor as a large cross
         self._model.site_rgba[:, 3] = 0.0
+        wall = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, "wall")
+        if wall >= 0:
+            self._model.geom_rgba[wall, 3] = 0.35  # the goal lies behind it
 
     def _make_camera(self) -> Any:
         if mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, "top") >= 0:
             return "top"
         camera = mujoco.MjvCamera()
         camera.lookat[:] = (1.25, 0.78, 0.5)
-        camera.distance, camera.azimuth, camera.elevation = 1.75, 150.0, -22.0
+        camera.distance, camera.azimuth, camera.elevation = 1.6, 150.0, -32.0
         return camera
 
     def frame(self, goal: np.ndarray, plan: Plan) -> None:
