@@ -20,8 +20,9 @@ from benchmarks.cells import RESULTS, append_result, find, read_results, trained
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
 from napsp.config import preset
-from napsp.episodes import evaluate, greedy_actor
+from napsp.episodes import evaluate
 from napsp.errors import UserError, run_command
+from napsp.greedy import GreedyPolicy
 from napsp.statistics import describe, wilson_interval
 from planners.options import OPTIONS
 from planners.session import Session
@@ -64,7 +65,7 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
     if variant == "policy alone":
         assert checkpoint is not None
         model, env = load_model(checkpoint, env_name), tasks.make(env_name)
-        result, _ = evaluate([env], greedy_actor(model.policy), seeds, model.config.horizon)
+        result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
         success, hits = result.reached[:, -1].tolist(), result.first_hits[~np.isnan(result.first_hits)].tolist()
         milliseconds = 0.0
     else:

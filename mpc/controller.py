@@ -11,7 +11,7 @@ import numpy as np
 
 from mpc.cost import Cost
 from mpc.knots import Interpolation, interpolation_matrix, shift_matrix
-from mpc.rollout import Actor, RolloutEngine, Trajectories
+from mpc.rollout import Actor, Followed, RolloutEngine, Trajectories
 from napsp.envs.dynamics import get_state
 
 
@@ -118,12 +118,13 @@ class Controller:
         if not self._fresh:
             self.planner.shift(self._shift)
         self._fresh = False
-        proposals = self._policy_proposals(state, observation)
+        followed = self._follow_policy(state, observation)
+        proposals = None if followed is None else (self._to_knots @ followed.actions)[None]
         n_simulated = self.cost.simulated_steps(self.horizon)
         for _ in range(self.n_refinements):
             knots = self.planner.sample(self.rng, proposals)
             actions = self._actions(knots)
-            trajectories = self.engine.rollout(state, actions[:, :n_simulated])
+            trajectories = self.engine.rollout(state, actions[:, :n_simulated], followed)
             costs = self.cost(observation, trajectories, actions, goal)
             self.planner.update(knots, costs)
         self._warn_if_lost(costs)
@@ -135,11 +136,10 @@ class Controller:
         # float32 like the environments' action spaces: the plan is what will be executed.
         return np.clip(self._to_actions @ knots, -1.0, 1.0).astype(np.float32)
 
-    def _policy_proposals(self, state: np.ndarray, observation: dict[str, np.ndarray]) -> np.ndarray | None:
+    def _follow_policy(self, state: np.ndarray, observation: dict[str, np.ndarray]) -> Followed | None:
         if self._proposals_from is None:
             return None
-        actions = self.engine.follow(state, observation, self._proposals_from, self.horizon)
-        return (self._to_knots @ actions)[None]
+        return self.engine.follow(state, observation, self._proposals_from, self.horizon)
 
     def _warn_if_lost(self, costs: np.ndarray) -> None:
         if not np.isfinite(costs).any() and not self._warned:

@@ -37,6 +37,21 @@ class Trajectories:
     diverged: np.ndarray
 
 
+@dataclass(frozen=True)
+class Followed:
+    """What an actor did and saw on its own rollout.
+
+    Attributes:
+        actions: ``(H, A)``.
+        features: of the dynamics at control steps 1 .. H, ``(H, F)``.
+        times: the simulation's clock at the same steps, ``(H,)``.
+    """
+
+    actions: np.ndarray
+    features: np.ndarray
+    times: np.ndarray
+
+
 def available_cores() -> int:
     """Cores this process may use (containers and taskset allow fewer than the machine has)."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -60,21 +75,24 @@ class RolloutEngine:
         self._pool: ThreadPoolExecutor | None = None
         self._native: Rollout | None = None
 
-    def rollout(self, state: np.ndarray, actions: np.ndarray) -> Trajectories:
-        """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.dynamics.get_state`."""
+    def rollout(self, state: np.ndarray, actions: np.ndarray, known: Followed | None = None) -> Trajectories:
+        """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.dynamics.get_state`.
+
+        Samples equal to the actions of ``known``, followed from the same state, are copied
+        from there instead.
+        """
         n_samples, horizon = actions.shape[:2]
-        # A reset puts the clock to zero: starting later makes even a reset in the first step show.
-        state = state.copy()
-        state[0] += 1.0
+        state = _later(state)
         features = np.empty((n_samples, horizon, self.dynamics.n_features))
-        final_times = np.empty(n_samples)
-        controls = self.dynamics.control(actions)
-        if horizon == 0:
-            final_times[:] = state[0]  # d(s, a, g) alone: nothing to simulate
-        elif self.dynamics.open_loop:
-            self._run_native(state, controls, features, final_times)
-        else:
-            self._run_threads(state, controls, features, final_times)
+        final_times = np.full(n_samples, state[0])
+        is_known = np.zeros(n_samples, bool)
+        if known is not None and horizon:
+            is_known = (actions == known.actions[:horizon]).all((1, 2))
+            features[is_known], final_times[is_known] = known.features[:horizon], known.times[horizon - 1]
+        samples = np.flatnonzero(~is_known)
+        if horizon:  # without: d(s, a, g) alone, nothing to simulate
+            run = self._run_native if self.dynamics.open_loop else self._run_threads
+            run(state, self.dynamics.control(actions), samples, features, final_times)
         # A simulation that blew up was reset by MuJoCo to finite values at time zero, so its
         # clock is behind; looking for NaN alone would let it win.
         late_by = state[0] + horizon * self._duration - final_times
@@ -82,28 +100,36 @@ class RolloutEngine:
         observations, achieved_goals = self.dynamics.observe(features)
         return Trajectories(observations, achieved_goals, diverged)
 
-    def follow(self, state: np.ndarray, observation: dict[str, np.ndarray], actor: Actor, horizon: int) -> np.ndarray:
-        """Actions ``(H, A)`` of an actor that sees every simulated state, starting from ``state``."""
-        simulation, features = self._simulations[0], np.empty((1, self.dynamics.n_features))
-        simulation.restore(state)
+    def follow(self, state: np.ndarray, observation: dict[str, np.ndarray], actor: Actor, horizon: int) -> Followed:
+        """Let an actor that sees every simulated state act for ``horizon`` steps from ``state``."""
+        simulation, data = self._simulations[0], self._datas[0]
+        features, times = np.empty((horizon, self.dynamics.n_features)), np.empty(horizon)
+        simulation.restore(_later(state))
         current, goal = observation["observation"], observation["desired_goal"].astype(np.float32)[None]
         actions = []
-        for _ in range(horizon):
+        for step in range(horizon):
             actions.append(actor(current.astype(np.float32)[None], goal)[0])
-            simulation.advance(self.dynamics.control(actions[-1])[None], features)
-            current = self.dynamics.observe(features[0])[0]
-        return np.stack(actions)
+            simulation.advance(self.dynamics.control(actions[-1])[None], features[step : step + 1])
+            times[step] = data.time
+            current = self.dynamics.observe(features[step])[0]
+        return Followed(np.stack(actions), features, times)
 
     def _run_threads(
-        self, state: np.ndarray, controls: np.ndarray, features: np.ndarray, final_times: np.ndarray
+        self,
+        state: np.ndarray,
+        controls: np.ndarray,
+        samples: np.ndarray,
+        features: np.ndarray,
+        final_times: np.ndarray,
     ) -> None:
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.n_threads)
         # Interleaved samples balance contact-rich and free ones without a queue.
-        shares = [range(worker, len(controls), self.n_threads) for worker in range(self.n_threads)]
         jobs = [
-            self._pool.submit(self._run_samples, worker, state, samples, controls, features, final_times)
-            for worker, samples in enumerate(shares)
+            self._pool.submit(
+                self._run_samples, worker, state, samples[worker :: self.n_threads], controls, features, final_times
+            )
+            for worker in range(self.n_threads)
         ]
         for job in jobs:
             job.result()
@@ -112,7 +138,7 @@ class RolloutEngine:
         self,
         worker: int,
         state: np.ndarray,
-        samples: range,
+        samples: np.ndarray,
         controls: np.ndarray,
         features: np.ndarray,
         final_times: np.ndarray,
@@ -124,7 +150,12 @@ class RolloutEngine:
             final_times[sample] = data.time
 
     def _run_native(
-        self, state: np.ndarray, controls: np.ndarray, features: np.ndarray, final_times: np.ndarray
+        self,
+        state: np.ndarray,
+        controls: np.ndarray,
+        samples: np.ndarray,
+        features: np.ndarray,
+        final_times: np.ndarray,
     ) -> None:
         """One ``mujoco.rollout`` call for the whole batch; features are qpos and qvel."""
         if self._native is None:
@@ -133,11 +164,11 @@ class RolloutEngine:
         self._simulations[0].restore(state)
         start = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        held = np.repeat(controls, self.dynamics.substeps, axis=1)
+        held = np.repeat(controls[samples], self.dynamics.substeps, axis=1)
         states, _ = self._native.rollout(model, self._datas, start, held, initial_warmstart=data.qacc_warmstart.copy())
         ends = np.asarray(states)[:, self.dynamics.substeps - 1 :: self.dynamics.substeps]
-        features[:] = ends[..., 1 : 1 + model.nq + model.nv]
-        final_times[:] = ends[:, -1, 0]
+        features[samples] = ends[..., 1 : 1 + model.nq + model.nv]
+        final_times[samples] = ends[:, -1, 0]
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -153,3 +184,10 @@ class RolloutEngine:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+def _later(state: np.ndarray) -> np.ndarray:
+    """Start with a positive clock: MuJoCo's reset puts it to zero, so even one in the first step shows."""
+    state = state.copy()
+    state[0] += 1.0
+    return state

@@ -79,16 +79,6 @@ class ExploringActor:
         return np.where(random[:, None], self._random, actions)
 
 
-def greedy_actor(policy: GaussianPolicy) -> Actor:
-    """The policy's deterministic action."""
-
-    def act(observations: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        with torch.inference_mode():
-            return policy.mode(torch.from_numpy(observations), torch.from_numpy(goals)).numpy()
-
-    return act
-
-
 @dataclass(frozen=True)
 class Outcomes:
     """What E evaluation episodes came to.

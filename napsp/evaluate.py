@@ -12,8 +12,9 @@ import tyro
 
 from napsp import envs as tasks
 from napsp.checkpoint import load_model, shipped_model, write_json
-from napsp.episodes import evaluate, greedy_actor
+from napsp.episodes import evaluate
 from napsp.errors import UserError, run_command
+from napsp.greedy import GreedyPolicy
 from napsp.statistics import describe, wilson_interval
 
 
@@ -43,7 +44,7 @@ def main() -> int:
     model = load_model(options.checkpoint or shipped_model(env_name), env_name)
     env = tasks.make(env_name)
     seeds = [options.seed + i for i in range(options.episodes)]
-    result, _ = evaluate([env], greedy_actor(model.policy), seeds, model.config.horizon)
+    result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
     env.close()
     hits = result.first_hits[~np.isnan(result.first_hits)]
     n = len(seeds)

@@ -18,8 +18,9 @@ from napsp import envs as tasks
 from napsp.buffer import Episodes, concatenate
 from napsp.checkpoint import MODEL_FILE, git_revision, save_model
 from napsp.config import TrainConfig, preset
-from napsp.episodes import ExploringActor, evaluate, greedy_actor, roll
+from napsp.episodes import ExploringActor, evaluate, roll
 from napsp.errors import UserError, run_command
+from napsp.greedy import GreedyPolicy
 from napsp.learner import Learner
 from napsp.progress import Progress, Row, read_rows
 from napsp.record import RECORD_FILE, write_record
@@ -140,7 +141,7 @@ class Run:
     def _evaluate(self) -> Row:
         config, policy = self.config, self.learner.agent.policy
         seeds = [EVALUATION_SEED + i for i in range(config.n_evaluation_episodes)]
-        result, episodes = evaluate(self.envs, greedy_actor(policy), seeds, config.horizon)
+        result, episodes = evaluate(self.envs, GreedyPolicy(policy), seeds, config.horizon)
         row = {
             "success_rate": result.success_rate,
             "any_success_rate": result.any_success_rate,

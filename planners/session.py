@@ -17,8 +17,8 @@ from mpc.speed import raw_speed_fraction
 from napsp import envs as tasks
 from napsp.checkpoint import Model, git_revision, load_model, shipped_model
 from napsp.envs.dynamics import get_state
-from napsp.episodes import greedy_actor
 from napsp.errors import UserError
+from napsp.greedy import GreedyPolicy
 from planners.mppi import MPPI
 from planners.options import HORIZONS, PlanOptions
 from planners.video import Video
@@ -89,7 +89,7 @@ class Session:
             options.knots,
             options.interpolation,
             options.refinements,
-            greedy_actor(model.policy) if options.proposals and model else None,
+            GreedyPolicy(model.policy) if options.proposals and model else None,
         )
         return cls(planner, options, env, env_name, controller, model)
 

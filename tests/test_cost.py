@@ -1,12 +1,17 @@
 """J of a plan on trajectories written by hand, and the receding-horizon loop around it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 
 from mpc.controller import Controller
 from mpc.cost import Cost, EuclideanSteps, NoSteps
 from mpc.rollout import RolloutEngine, Trajectories
 from napsp.envs.dynamics import get_state
+from napsp.greedy import GreedyPolicy
+from napsp.networks import GaussianPolicy
 from planners.mppi import MPPI
 
 GOAL = np.array([0.0])
@@ -165,7 +170,41 @@ def test_following_an_actor_equals_stepping_it(worlds):
 
         with RolloutEngine(world.dynamics, 1) as engine:
             planned = engine.follow(get_state(world.model, world.data), observation, actor, 8)
-        for action in planned:
+        for action in planned.actions:
             rows = observation["observation"].astype(np.float32)[None], goal.astype(np.float32)[None]
             np.testing.assert_array_equal(action, actor(*rows)[0])
             observation = world.step(action)[0]
+
+
+def test_a_followed_rollout_is_reused_only_for_its_own_actions(worlds):
+    for name in ("fetch_wall", "point_maze"):
+        world = worlds[name]
+        observation, _ = world.reset(seed=2)
+        size, state = world.action_space.shape[0], get_state(world.model, world.data)
+        with RolloutEngine(world.dynamics, 2) as engine:
+            constant = np.full((1, size), 0.4, np.float32)
+            followed = engine.follow(state, observation, lambda o, g: constant, 5)  # noqa: B023
+            actions = np.random.default_rng(0).uniform(-1, 1, (4, 5, size)).astype(np.float32)
+            actions[2] = followed.actions
+            simulated = engine.rollout(state, actions)
+            reused = engine.rollout(state, actions, followed)
+            np.testing.assert_array_equal(simulated.observations, reused.observations)
+            np.testing.assert_array_equal(simulated.achieved_goals, reused.achieved_goals)
+            assert not reused.diverged.any()
+            marked = replace(followed, features=followed.features + 1.0, times=np.zeros(5))
+            reused = engine.rollout(state, actions, marked)
+        changed = (simulated.achieved_goals != reused.achieved_goals).any((1, 2))
+        np.testing.assert_array_equal(changed, [False, False, True, False])
+        np.testing.assert_array_equal(reused.diverged, [False, False, True, False])
+
+
+def test_greedy_policy_equals_torch_and_follows_training():
+    torch.manual_seed(0)
+    policy = GaussianPolicy((10, 4, 3), (64, 64))
+    greedy = GreedyPolicy(policy)
+    with torch.no_grad():
+        policy.net[0].weight.mul_(2.0)
+    states, goals = torch.randn(20, 10), torch.randn(20, 3)
+    np.testing.assert_allclose(
+        greedy(states.numpy(), goals.numpy()), policy.mode(states, goals).detach().numpy(), atol=1e-6
+    )
