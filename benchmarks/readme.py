@@ -126,9 +126,9 @@ def speed_table() -> list[str]:
     lines = [
         "### Speed (`python -m benchmarks.rollout_speed --env fetch_wall`)",
         "",
-        "One run, one model, 2 cores; medians of paired rounds. *Replay* is the very same motions in one `mujoco.rollout` call,",
-        "*raw* the same number of steps with constant controls. With the policy's proposal (the default of `--cost distance`) one rollout",
-        "of the policy is simulated step by step before the batch.",
+        "One run, one model, 2 cores; ratios of total times over the states of a planned episode. *Replay* is the very same motions in one",
+        "`mujoco.rollout` call, *raw* the same number of steps with constant controls. The policy's proposal is on by default with",
+        "`--cost distance`.",
         "",
         "| task | samples x horizon | policy proposal | plan / replay (CPU) | plan / raw (CPU) | ms per plan | collection against stock step, same model |",
         "|---|---|---|---|---|---|---|",
