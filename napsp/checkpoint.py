@@ -18,7 +18,7 @@ from torch import Tensor
 from napsp.config import TrainConfig, from_dict
 from napsp.envs import canonical_name
 from napsp.errors import UserError
-from napsp.networks import DistanceNetwork, GaussianPolicy
+from napsp.networks import DeterministicPolicy, DistanceNetwork, GaussianPolicy, Policy
 
 FORMAT = "napsp-1"
 MODEL_FILE = "model.safetensors"
@@ -81,14 +81,14 @@ class Model:
     """
 
     distance: DistanceNetwork | None
-    policy: GaussianPolicy
+    policy: Policy
     config: TrainConfig
     header: dict[str, Any]
 
 
 def save_model(
     path: Path,
-    policy: GaussianPolicy,
+    policy: Policy,
     distance: DistanceNetwork | None,
     config: TrainConfig,
     sizes: tuple[int, int, int],
@@ -124,7 +124,9 @@ def load_model(path: str | Path, env: str) -> Model:
     if config.env != canonical_name(env):
         raise UserError(f"{path} was trained on {config.env}, not on {env}; give a checkpoint of {env}")
     sizes = tuple(header["sizes"])
-    policy = GaussianPolicy(sizes, config.hidden)
+    policy: Policy = GaussianPolicy(sizes, config.hidden)
+    if config.agent == "ddpg":
+        policy = DeterministicPolicy(sizes, config.hidden, config.action_noise)
     distance = DistanceNetwork(sizes, config.hidden, config.horizon, config.distance_output)
     has_distance = any(name.startswith("distance.") for name in tensors)
     _load(policy, "policy.", tensors, path)

@@ -16,6 +16,7 @@ from napsp.envs import canonical_name, episode_length
 from napsp.errors import UserError
 
 METHODS = ("sparse", "ddl", "offpolicy_ddl", "ours")
+AGENTS = ("sac", "ddpg")
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,9 @@ class TrainConfig:
     ddl_window: int = 20
     """Most recent episodes that the on-policy regression of ddl sees."""
 
-    # -- policy: HER + SAC --
+    # -- policy: HER + SAC or DDPG --
+    agent: str = "sac"
+    """Learner of the policy: sac, or ddpg (the paper's for pick-and-place)."""
     relabel_ratio: float = 0.8
     """Share of HER future goals, k / (k + 1); 0.8 is k = 4."""
     discount: float = 0.98
@@ -96,6 +99,10 @@ class TrainConfig:
     """Fixed SAC alpha; None adapts it to a target entropy of minus the action size."""
     min_entropy_weight: float = 0.02
     """Floor of the adapted SAC alpha (rewards lie in [-1, 0])."""
+    action_noise: float = 0.2
+    """Standard deviation of DDPG's exploration noise; actions lie in [-1, 1]."""
+    action_penalty: float = 1.0
+    """Weight of the mean squared action in DDPG's policy loss (HER's action_l2)."""
 
     # -- exploration --
     epsilon: float = 0.1
@@ -114,6 +121,8 @@ class TrainConfig:
         object.__setattr__(self, "hidden", tuple(self.hidden))
         if self.method not in METHODS:
             raise UserError(f"unknown method {self.method!r}; choose one of: {', '.join(METHODS)}")
+        if self.agent not in AGENTS:
+            raise UserError(f"unknown agent {self.agent!r}; choose one of: {', '.join(AGENTS)}")
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:  # false for NaN as well
@@ -169,6 +178,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "polyak": (TINY, 1),
     "entropy_weight": (TINY, MANY),
     "min_entropy_weight": (TINY, MANY),
+    "action_noise": (0, 100),
+    "action_penalty": (0, MANY),
     "epsilon": (0, 1),
     "exploration_hold": (1, MANY),
     "evaluate_every": (1, MANY),

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from napsp.buffer import Episodes, concatenate
-from napsp.networks import GaussianPolicy
+from napsp.networks import Policy
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps observations ``(E, O)`` and goals ``(E, G)`` to actions ``(E, A)`` in [-1, 1]."""
@@ -46,7 +46,7 @@ class ExploringActor:
 
     def __init__(
         self,
-        policy: GaussianPolicy | None,
+        policy: Policy | None,
         action_size: int,
         epsilon: float,
         hold: int,
@@ -75,7 +75,7 @@ class ExploringActor:
             return self._random.copy()
         with torch.inference_mode():
             inputs = torch.from_numpy(observations), torch.from_numpy(goals)
-            actions = self._policy.sample(*inputs, self._generator)[0].numpy()
+            actions = self._policy.explore(*inputs, self._generator).numpy()
         return np.where(random[:, None], self._random, actions)
 
 

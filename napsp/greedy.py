@@ -9,23 +9,22 @@ from __future__ import annotations
 import numpy as np
 from torch import Tensor, nn
 
-from napsp.networks import GaussianPolicy
+from napsp.networks import Policy
 from napsp.scaling import Scaling
 
 
 class GreedyPolicy:
     """a = pi(s, g) of a torch policy; its weights are shared, so it follows training."""
 
-    def __init__(self, policy: GaussianPolicy) -> None:
+    def __init__(self, policy: Policy) -> None:
         scaling = policy.scaling
         self._mean = np.concatenate([_numpy(scaling.observation_mean), _numpy(scaling.goal_mean)])
         self._scale = np.concatenate([_numpy(scaling.observation_scale), _numpy(scaling.goal_scale)])
         layers = [layer for layer in policy.net if isinstance(layer, nn.Linear)]
         self._layers = [(_numpy(layer.weight).T, _numpy(layer.bias)) for layer in layers]
-        # The output layer also gives the log standard deviations, which nobody needs here.
+        # SAC's output layer also gives the log standard deviations, which nobody needs here.
         weights, bias = self._layers[-1]
-        n_actions = len(bias) // 2
-        self._layers[-1] = weights[:, :n_actions], bias[:n_actions]
+        self._layers[-1] = weights[:, : policy.n_actions], bias[: policy.n_actions]
 
     def __call__(self, observations: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Actions ``(B, A)`` in [-1, 1] for float32 observations ``(B, O)`` and goals ``(B, G)``."""

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from napsp.agent import Agent, PolicyBatch
 from napsp.buffer import EpisodeBuffer, Episodes, concatenate, sample_pairs, sample_relabelled, sample_triples
 from napsp.config import TrainConfig
 from napsp.counts import CountModel, uncertainty
-from napsp.losses import Metrics, hypotenuse, temporal_label, temporal_loss, triangular_loss
-from napsp.networks import DistanceNetwork, move_towards
+from napsp.ddpg import DDPG
+from napsp.losses import hypotenuse, temporal_label
+from napsp.regression import DistanceRegression
 from napsp.sac import SAC
 from napsp.scaling import Scaling
 
+AGENTS: dict[str, type[SAC] | type[DDPG]] = {"sac": SAC, "ddpg": DDPG}
+Metrics = dict[str, float]
 SparseReward = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -38,110 +41,111 @@ class Learner:
         """
         self.config, self.rng, self.generator = config, rng, generator
         self._sparse_reward = sparse_reward
-        self.distance = DistanceNetwork(sizes, config.hidden, config.horizon, config.distance_output)
-        self.target_distance = copy.deepcopy(self.distance).requires_grad_(False)
-        self.distance_optimizer = torch.optim.Adam(
-            self.distance.parameters(), lr=config.distance_learning_rate, fused=True
-        )
-        self.agent = SAC(sizes, config)
+        self.regression = DistanceRegression(sizes, config)
+        self.agent: Agent = AGENTS[config.agent](sizes, config)
         # Goals are scaled by achieved and desired ones together: random play stays near the start.
         goals = np.concatenate([warmup.achieved_goals.reshape(-1, sizes[2]), warmup.desired_goals])
         scaling = Scaling(warmup.observations, goals)
-        networks = (self.distance, self.target_distance, self.agent.policy)
-        for network in (*networks, self.agent.critic, self.agent.target_critic):
-            network.scaling.set(scaling)
+        for network in self.networks().values():
+            network.scaling.set(scaling)  # type: ignore[operator, union-attr]
         self.counts = CountModel(sizes, config.visit_bits, config.reached_bits, scaling, rng)
         self.buffer = EpisodeBuffer()
         self.buffer.extend(warmup)
         self.counts.update(warmup)
+
+    def networks(self) -> dict[str, torch.nn.Module]:
+        """All networks by name."""
+        regression = self.regression
+        distances = {"distance": regression.distance, "target_distance": regression.target_distance}
+        return {**distances, **self.agent.networks()}
+
+    def optimizers(self) -> dict[str, torch.optim.Adam]:
+        """All optimisers by name."""
+        return {"distance_optimizer": self.regression.optimizer, **self.agent.optimizers}
+
+    # Within a phase of Algorithm 1 everything that labels depend on is frozen (d_old and the counts for d, d for
+    # the policy), so a phase draws all its samples and computes their labels at once.
 
     def train_temporal(self, recent: Episodes) -> Metrics:
         """Algorithm 1, lines 5-8: fit d to min[j - i, d_old + U] on pairs of D (eq. 4a).
 
         ``ddl`` fits d to j - i on its most recent episodes only, D_last included (on-policy).
         """
-        config, losses, distances = self.config, [], []
-        on_policy = config.method == "ddl"
-        episodes = self.buffer.episodes()
-        if on_policy:
+        config, episodes, size = self.config, self.buffer.episodes(), self.config.batch_size
+        if not config.n_temporal_updates:
+            return {}
+        if config.method == "ddl":
             older = max(0, config.ddl_window - len(recent))
             episodes = concatenate([self.buffer.episodes(older), recent]) if older else recent
-        for _ in range(config.n_temporal_updates):
-            pairs = sample_pairs(episodes, config.batch_size, self.rng)
-            inputs = _tensors(pairs.observations, pairs.actions, pairs.goals)
-            labels = torch.from_numpy(pairs.steps_between)
-            if not on_policy:
-                visits = self.counts.visits(pairs.observations, pairs.actions)
-                bonus = uncertainty(visits, config.uncertainty_scale, config.uncertainty_power)
-                with torch.no_grad():
-                    target_steps = self.target_distance.steps(*inputs)
-                labels = temporal_label(labels, target_steps, torch.from_numpy(bonus.astype(np.float32)))
-            loss = temporal_loss(self.distance, *inputs, labels)
-            self._step(loss)
-            losses.append(float(loss.detach()))
-            distances.append(float(labels.mean()))
-        return {"temporal_loss": _mean(losses), "mean_label": _mean(distances)}
+        pairs = sample_pairs(episodes, config.n_temporal_updates * size, self.rng)
+        inputs = self.regression.inputs(pairs.observations, pairs.actions, pairs.goals)
+        labels = torch.from_numpy(pairs.steps_between)
+        if config.method != "ddl":
+            visits = self.counts.visits(pairs.observations, pairs.actions)
+            bonus = uncertainty(visits, config.uncertainty_scale, config.uncertainty_power)
+            bonus = torch.from_numpy(bonus.astype(np.float32))
+            labels = temporal_label(labels, self.regression.target_steps(inputs), bonus)
+        batches = zip(inputs.split(size), labels.split(size), strict=True)
+        losses = [self.regression.fit(*batch, n_sampled=size)[0] for batch in batches]
+        return {"temporal_loss": _mean(losses), "mean_label": float(labels.mean())}
 
     def update_target(self) -> None:
         """Algorithm 1, line 9: theta_old <- theta (or a Polyak step towards it)."""
-        parameters = self.target_distance.parameters(), self.distance.parameters()
-        move_towards(*parameters, self.config.target_polyak)
+        self.regression.update_target()
 
     def train_triangular(self, recent: Episodes) -> Metrics:
-        """Algorithm 1, lines 10-17: raise or relax d(s_i, a_i, s_g) through waypoints (eq. 4b)."""
-        config = self.config
+        """Algorithm 1, lines 10-17: raise or relax d(s_i, a_i, s_g) through waypoints (eq. 4b).
+
+        A label that raises the distance merges, one that lowers it relaxes; the rates are
+        shares of all sampled tuples (figure 5).
+        """
+        config, counts, regression = self.config, self.counts, self.regression
+        n_sampled = config.n_triangular_updates * config.batch_size
+        triples = sample_triples(recent, self.buffer.episodes(), n_sampled, self.rng)
+        unconnected = counts.reached(triples.observations, triples.actions, triples.goals) == 0
+        connected = counts.reached(triples.waypoints, triples.waypoint_actions, triples.goals) > 0
+        passed = unconnected & (connected if config.require_reached_waypoint else True)  # line 13
+        start = triples.observations[passed], triples.actions[passed]
+        waypoint = triples.waypoints[passed], triples.waypoint_actions[passed]
+        first_leg = regression.target_steps(regression.inputs(*start, triples.waypoint_goals[passed]))
+        second_leg = regression.target_steps(regression.inputs(*waypoint, triples.goals[passed]))
         cap = float(config.horizon) if config.cap_triangular else None
-        merged = relaxed = 0.0
-        for _ in range(config.n_triangular_updates):
-            triples = sample_triples(recent, self.buffer.episodes(), config.batch_size, self.rng)
-            unconnected = self.counts.reached(triples.observations, triples.actions, triples.goals) == 0
-            connected = self.counts.reached(triples.waypoints, triples.waypoint_actions, triples.goals) > 0
-            passed = unconnected & (connected if config.require_reached_waypoint else True)  # line 13
-            if not passed.any():
+        inputs, labels = (
+            regression.inputs(*start, triples.goals[passed]),
+            hypotenuse(first_leg, second_leg, cap),
+        )  # line 14
+        merged = 0.0
+        sizes = passed.reshape(config.n_triangular_updates, config.batch_size).sum(1).tolist()
+        for rows, targets in zip(inputs.split(sizes), labels.split(sizes), strict=True):
+            if not len(rows):
                 continue  # line 16
-            start = _tensors(triples.observations[passed], triples.actions[passed])
-            waypoint = _tensors(triples.waypoints[passed], triples.waypoint_actions[passed])
-            waypoint_goal, goal = _tensors(triples.waypoint_goals[passed], triples.goals[passed])
-            with torch.no_grad():
-                first_leg = self.target_distance.steps(*start, waypoint_goal)
-                second_leg = self.target_distance.steps(*waypoint, goal)
-            labels = hypotenuse(first_leg, second_leg, cap)  # line 14
-            n_sampled = config.batch_size if config.triangular_mean == "sampled" else None
-            loss, info = triangular_loss(self.distance, *start, goal, labels, n_sampled)  # line 17
-            self._step(config.triangular_weight * loss)
-            merged, relaxed = merged + info["merged"], relaxed + info["relaxed"]
-        sampled = max(1, config.n_triangular_updates * config.batch_size)
-        return {"merging_rate": merged / sampled, "relaxation_rate": relaxed / sampled}
+            divisor = config.batch_size if config.triangular_mean == "sampled" else len(rows)
+            _, predictions = regression.fit(rows, targets, divisor, config.triangular_weight)  # line 17
+            merged += float((targets > predictions).sum())
+        n_sampled = max(1, n_sampled)
+        return {"merging_rate": merged / n_sampled, "relaxation_rate": (len(labels) - merged) / n_sampled}
 
     def train_policy(self) -> Metrics:
-        """Algorithm 1, lines 18-21: HER future relabelling, reward -d / T, SAC."""
+        """Algorithm 1, lines 18-21: HER future relabelling, reward -d / T, SAC or DDPG."""
         config, episodes = self.config, self.buffer.episodes()
-        info: list[Metrics] = []
-        distances = []
-        for _ in range(config.n_policy_updates):
-            batch = sample_relabelled(episodes, config.batch_size, config.relabel_ratio, self._sparse_reward, self.rng)
-            observations, actions, goals = _tensors(batch.observations, batch.actions, batch.goals)
-            if config.learns_distance:
-                with torch.no_grad():  # recomputed at every use: stored rewards would be stale
-                    steps = self.distance.steps(observations, actions, goals)
-                rewards = -steps / config.horizon
-                distances.append(float(steps.mean()))
-            else:
-                rewards = torch.from_numpy(batch.rewards)
-            next_observations = torch.from_numpy(batch.next_observations)
-            info.append(self.agent.update(observations, actions, next_observations, goals, rewards, self.generator))
-        metrics = {name: _mean([entry[name] for entry in info]) for name in info[0]} if info else {}
-        return {**metrics, "mean_distance": _mean(distances), "entropy_weight": self.agent.entropy_weight}
-
-    def _step(self, loss: Tensor) -> None:
-        self.distance_optimizer.zero_grad()
-        loss.backward()
-        self.distance_optimizer.step()
+        if not config.n_policy_updates:
+            return {}
+        n_sampled = config.n_policy_updates * config.batch_size
+        drawn = sample_relabelled(episodes, n_sampled, config.relabel_ratio, self._sparse_reward, self.rng)
+        mean_distance = float("nan")
+        rewards = torch.from_numpy(drawn.rewards)
+        if config.learns_distance:  # with today's d: stored rewards would be stale
+            steps = self.regression.steps(self.regression.inputs(drawn.observations, drawn.actions, drawn.goals))
+            rewards, mean_distance = -steps / config.horizon, float(steps.mean())
+        scaling = self.regression.distance.scaling
+        tensors = [torch.from_numpy(rows) for rows in (drawn.observations, drawn.next_observations, drawn.goals)]
+        observations, goals = scaling(tensors[0], tensors[2])
+        next_observations = scaling(tensors[1], tensors[2])[0]
+        actions = torch.from_numpy(drawn.actions)
+        batches = PolicyBatch(observations, actions, next_observations, goals, rewards).split(config.batch_size)
+        rows = [self.agent.update(batch, self.generator) for batch in batches]
+        return {"mean_distance": mean_distance, **{name: _mean([row[name] for row in rows]) for name in rows[0]}}
 
 
-def _tensors(*arrays: np.ndarray) -> list[Tensor]:
-    return [torch.from_numpy(array) for array in arrays]
-
-
-def _mean(values: list[float]) -> float:
-    return float(np.mean(values)) if values else float("nan")
+def _mean(values: list[Tensor]) -> float:
+    return float(torch.stack(values).mean())

@@ -1,7 +1,7 @@
-"""The two losses of the distance (eq. 4a, 4b), as pure functions.
+"""The labels of eq. 4a and 4b, as pure functions, and the loss that fits d to them.
 
-Both are in units of T: a squared error of steps / T, so that learning rates do not depend
-on the episode length. Each returns ``(loss, metrics)``.
+Both equations are squared errors of d against a label. Errors are in units of T, so that
+learning rates do not depend on the episode length.
 """
 
 from __future__ import annotations
@@ -9,26 +9,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from napsp.networks import DistanceNetwork
-
-Metrics = dict[str, float]
-
 
 def temporal_label(steps_between: Tensor, target_steps: Tensor, uncertainty: Tensor) -> Tensor:
     """min[j - i, d_old + U] in steps (eq. 4a); all ``(B,)``."""
     return torch.minimum(steps_between, target_steps + uncertainty)
-
-
-def temporal_loss(
-    distance: DistanceNetwork,
-    observations: Tensor,
-    actions: Tensor,
-    goals: Tensor,
-    labels: Tensor,
-) -> Tensor:
-    """Mean squared error of d(s_i, a_i, phi(s_j)) against labels in steps (eq. 4a)."""
-    predictions = distance(observations, actions, goals)
-    return ((predictions - labels) / distance.horizon).square().mean()
 
 
 def hypotenuse(first_leg: Tensor, second_leg: Tensor, cap: float | None) -> Tensor:
@@ -37,22 +21,15 @@ def hypotenuse(first_leg: Tensor, second_leg: Tensor, cap: float | None) -> Tens
     return total if cap is None else total.clamp(max=cap)
 
 
-def triangular_loss(
-    distance: DistanceNetwork,
-    observations: Tensor,
-    actions: Tensor,
-    goals: Tensor,
-    labels: Tensor,
-    n_sampled: int | None = None,
-) -> tuple[Tensor, Metrics]:
-    """Squared error of d(s_i, a_i, s_g) against hypotenuses of the tuples that passed (eq. 4b).
+def squared_error(fractions: Tensor, labels: Tensor, n_sampled: int) -> tuple[Tensor, Tensor]:
+    """Sum of squared errors of d / T ``(B,)`` against labels / T, over ``n_sampled``.
 
-    Averaged over the ``n_sampled`` tuples drawn, so that those that failed the test count as
-    "do nothing" (Algorithm 1, line 16); None averages over the passed ones (the conditional
-    expectation of eq. 4b). Metrics are counts: how many labels raise the distance (``merged``) or lower it
-    (``relaxed``); divided by all sampled tuples they are the rates of figure 5.
+    Eq. 4a averages over the batch. Eq. 4b has only the tuples that passed the test as rows:
+    divided by all tuples drawn, the others count as "do nothing" (Algorithm 1, line 16);
+    divided by their own number it is the conditional expectation of eq. 4b.
+
+    Returns:
+        The loss and its gradient with respect to ``fractions`` ``(B,)``.
     """
-    predictions = distance(observations, actions, goals)
-    loss = ((predictions - labels) / distance.horizon).square().sum() / (n_sampled or len(labels))
-    raised = float((labels > predictions.detach()).sum())
-    return loss, {"merged": raised, "relaxed": float(len(labels)) - raised}
+    errors = fractions - labels
+    return errors.square().sum() / n_sampled, errors * (2.0 / n_sampled)

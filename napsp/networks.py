@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
@@ -17,12 +16,6 @@ from torch.nn import functional
 from napsp.scaling import Scaling
 
 LOG_STD_RANGE = (-10.0, 2.0)
-
-
-def move_towards(parameters: Iterable[Tensor], goals: Iterable[Tensor], weight: float) -> None:
-    """Polyak update in place: parameters += weight * (goals - parameters)."""
-    with torch.no_grad():
-        torch._foreach_lerp_(list(parameters), list(goals), weight)  # type: ignore[attr-defined]
 
 
 def mlp(n_inputs: int, hidden: tuple[int, ...], n_outputs: int) -> nn.Sequential:
@@ -76,13 +69,19 @@ class DistanceNetwork(nn.Module):
         self.horizon = horizon
         self.output = output
 
+    def inputs(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
+        """What the network reads: scaled and joined rows ``(B, O + A + G)``."""
+        observation, goal = self.scaling(observation, goal)
+        return torch.cat([observation, action, goal], dim=-1)
+
+    def fraction(self, outputs: Tensor) -> Tensor:
+        """D / T from the outputs of the last layer, same shape."""
+        return functional.softplus(outputs) if self.output == "softplus" else outputs
+
     def forward(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
         """Raw prediction in steps ``(B,)`` for rows ``(B, O)``, ``(B, A)``, ``(B, G)``."""
-        observation, goal = self.scaling(observation, goal)
-        fraction = self.net(torch.cat([observation, action, goal], dim=-1)).squeeze(-1)
-        if self.output == "softplus":
-            fraction = functional.softplus(fraction)
-        return fraction * self.horizon
+        outputs = self.net(self.inputs(observation, action, goal))
+        return self.fraction(outputs).squeeze(-1) * self.horizon
 
     def steps(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
         """Distance in steps ``(B,)``, within [0, T]."""
@@ -90,46 +89,79 @@ class DistanceNetwork(nn.Module):
 
 
 class Critic(nn.Module):
-    """Two independent action values Q(s, a, g); returns ``(2, B)``."""
+    """Independent action values Q(s, a, g): two for SAC, one for DDPG; returns ``(n, B)``."""
 
-    def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...]) -> None:
+    def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...], n_critics: int) -> None:
         super().__init__()
         n_observation, n_action, n_goal = sizes
         self.scaling = InputScaling(n_observation, n_goal)
-        self.nets = nn.ModuleList([mlp(n_observation + n_action + n_goal, hidden, 1) for _ in range(2)])
+        self.nets = nn.ModuleList([mlp(n_observation + n_action + n_goal, hidden, 1) for _ in range(n_critics)])
 
     def forward(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
-        """Both values, ``(2, B)``."""
+        """All values, ``(n, B)``."""
         observation, goal = self.scaling(observation, goal)
         inputs = torch.cat([observation, action, goal], dim=-1)
         return torch.stack([net(inputs).squeeze(-1) for net in self.nets])
 
 
-class GaussianPolicy(nn.Module):
-    """pi(a | s, g): a Gaussian squashed by tanh into [-1, 1]^A."""
+class Policy(nn.Module):
+    """A policy pi(s, g) with actions in [-1, 1]^A; its first A outputs are the mode before tanh."""
 
-    def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...]) -> None:
+    def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...], outputs_per_action: int) -> None:
         super().__init__()
-        n_observation, n_action, n_goal = sizes
+        n_observation, self.n_actions, n_goal = sizes
         self.scaling = InputScaling(n_observation, n_goal)
-        self.net = mlp(n_observation + n_goal, hidden, 2 * n_action)
+        self.net = mlp(n_observation + n_goal, hidden, outputs_per_action * self.n_actions)
 
-    def forward(self, observation: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log standard deviation before squashing, ``(B, A)`` each."""
-        observation, goal = self.scaling(observation, goal)
-        mean, log_std = self.net(torch.cat([observation, goal], dim=-1)).chunk(2, dim=-1)
-        return mean, log_std.clamp(*LOG_STD_RANGE)
+    def forward(self, observation: Tensor, goal: Tensor) -> Tensor:
+        """Outputs of the network ``(B, outputs_per_action * A)``."""
+        return self.net(torch.cat(self.scaling(observation, goal), dim=-1))
 
     def mode(self, observation: Tensor, goal: Tensor) -> Tensor:
         """The deterministic action ``(B, A)``."""
-        return torch.tanh(self(observation, goal)[0])
+        return torch.tanh(self(observation, goal)[..., : self.n_actions])
 
-    def sample(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """A reparametrised action ``(B, A)`` and its log density ``(B,)``."""
-        mean, log_std = self(observation, goal)
-        noise = torch.randn(mean.shape, generator=generator)
-        before = mean + log_std.exp() * noise
-        log_density = (-0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)).sum(-1)
-        # log |d tanh(x) / dx| in the form that does not underflow for large |x|.
-        squash = 2.0 * (math.log(2.0) - before - functional.softplus(-2.0 * before))
-        return torch.tanh(before), log_density - squash.sum(-1)
+    def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
+        """A random action ``(B, A)`` for collecting episodes."""
+        raise NotImplementedError
+
+
+class GaussianPolicy(Policy):
+    """pi(a | s, g) of SAC: a Gaussian squashed by tanh; outputs are mean and log deviation."""
+
+    def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...]) -> None:
+        super().__init__(sizes, hidden, outputs_per_action=2)
+
+    def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
+        """A sample of the policy ``(B, A)``."""
+        return squash(self(observation, goal), generator)[0]
+
+
+class DeterministicPolicy(Policy):
+    """pi(s, g) of DDPG; explores with Gaussian noise on the action."""
+
+    def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...], action_noise: float) -> None:
+        super().__init__(sizes, hidden, outputs_per_action=1)
+        self.action_noise = action_noise
+
+    def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
+        """The action plus noise, clipped to [-1, 1] ``(B, A)``."""
+        action = self.mode(observation, goal)
+        noise = torch.randn(action.shape, generator=generator)
+        return (action + self.action_noise * noise).clamp(-1.0, 1.0)
+
+
+def squash(outputs: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Sample a = tanh(mean + std * noise) from a Gaussian policy's outputs ``(B, 2 A)``.
+
+    Returns:
+        Actions ``(B, A)``, log densities ``(B,)``, the noise and the log deviations ``(B, A)``.
+    """
+    mean, log_std = outputs.chunk(2, dim=-1)
+    log_std = log_std.clamp(*LOG_STD_RANGE)
+    noise = torch.randn(mean.shape, generator=generator)
+    before = mean + log_std.exp() * noise
+    # log |d tanh(x) / dx| in the form that does not underflow for large |x|.
+    squashing = 2.0 * (math.log(2.0) - before - functional.softplus(-2.0 * before))
+    log_density = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi) - squashing
+    return torch.tanh(before), log_density.sum(-1), noise, log_std

@@ -21,12 +21,12 @@ STATE_FILE = "training_state.safetensors"
 def save_training(path: Path, learner: Learner, iteration: int, seconds: float, revisions: list[str]) -> None:
     """Write networks, optimisers, counts, D and random states after ``iteration`` iterations."""
     tensors: dict[str, Tensor] = {"torch_generator": learner.generator.get_state()}
-    for name, network in _networks(learner).items():
+    for name, network in learner.networks().items():
         tensors |= {f"{name}.{key}": value for key, value in network.state_dict().items()}
-    for name, optimizer in _optimizers(learner).items():
+    for name, optimizer in learner.optimizers().items():
         for index, entries in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}.{index}.{key}": value for key, value in entries.items()}
-    tensors["log_alpha"] = learner.agent.log_alpha
+    tensors |= {f"agent.{name}": value for name, value in learner.agent.tensors().items()}
     for name, array in _arrays(learner).items():
         tensors[name] = torch.from_numpy(np.ascontiguousarray(array))
     header = {
@@ -68,9 +68,9 @@ def warmup_episodes(tensors: dict[str, Tensor], config: TrainConfig) -> Episodes
 
 def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[str, Any]) -> int:
     """Put ``learner`` into the stored state; return the number of iterations done."""
-    for name, network in _networks(learner).items():
+    for name, network in learner.networks().items():
         network.load_state_dict({key: tensors[f"{name}.{key}"] for key in network.state_dict()})
-    for name, optimizer in _optimizers(learner).items():
+    for name, optimizer in learner.optimizers().items():
         state: dict[int, dict[str, Tensor]] = {}
         for key, value in tensors.items():
             if key.startswith(f"{name}."):
@@ -78,7 +78,8 @@ def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[
                 state.setdefault(int(index), {})[entry] = value
         optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
     with torch.no_grad():
-        learner.agent.log_alpha.copy_(tensors["log_alpha"])
+        for name, value in learner.agent.tensors().items():
+            value.copy_(tensors[f"agent.{name}"])
     stored = Episodes(**{name: tensors[f"buffer.{name}"].numpy() for name in FIELDS})
     n_missing = len(stored) - len(learner.buffer)
     learner.buffer.extend(Episodes(**{name: getattr(stored, name)[-n_missing:] for name in FIELDS}))
@@ -88,27 +89,6 @@ def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[
     learner.generator.set_state(tensors["torch_generator"])
     learner.rng.bit_generator.state = header["rng"]
     return int(header["iteration"])
-
-
-def _networks(learner: Learner) -> dict[str, torch.nn.Module]:
-    agent = learner.agent
-    return {
-        "distance": learner.distance,
-        "target_distance": learner.target_distance,
-        "policy": agent.policy,
-        "critic": agent.critic,
-        "target_critic": agent.target_critic,
-    }
-
-
-def _optimizers(learner: Learner) -> dict[str, torch.optim.Optimizer]:
-    agent = learner.agent
-    return {
-        "distance_optimizer": learner.distance_optimizer,
-        "policy_optimizer": agent.policy_optimizer,
-        "critic_optimizer": agent.critic_optimizer,
-        "alpha_optimizer": agent.alpha_optimizer,
-    }
 
 
 def _tables(learner: Learner) -> dict[str, Any]:

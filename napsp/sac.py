@@ -8,8 +8,10 @@ import math
 import torch
 from torch import Tensor
 
+from napsp.agent import PolicyBatch, critic_targets_range
+from napsp.backprop import Backprop, adam, flatten
 from napsp.config import TrainConfig
-from napsp.networks import Critic, GaussianPolicy, move_towards
+from napsp.networks import Critic, GaussianPolicy, squash
 
 
 class SAC:
@@ -17,84 +19,97 @@ class SAC:
 
     def __init__(self, sizes: tuple[int, int, int], config: TrainConfig) -> None:
         self.policy = GaussianPolicy(sizes, config.hidden)
-        self.critic = Critic(sizes, config.hidden)
-        self.target_critic = copy.deepcopy(self.critic).requires_grad_(False)
-        rate = config.policy_learning_rate
-        self.policy_optimizer = torch.optim.Adam(self.policy.parameters(), lr=rate, fused=True)
-        self.critic_optimizer = torch.optim.Adam(self.critic.parameters(), lr=rate, fused=True)
-        self._fixed_alpha = config.entropy_weight
+        self.critic = Critic(sizes, config.hidden, n_critics=2)
+        self.target_critic = copy.deepcopy(self.critic)
+        self._critic_vector, self._target_vector = flatten([self.critic]), flatten([self.target_critic])
+        self.optimizers = {
+            "policy_optimizer": adam(flatten([self.policy]), config.policy_learning_rate),
+            "critic_optimizer": adam(self._critic_vector, config.policy_learning_rate),
+        }
+        self._policy = Backprop(self.policy.net)
+        self._critics = [Backprop(net) for net in self.critic.nets]
+        self._targets = [Backprop(net) for net in self.target_critic.nets]
         self._min_log_alpha = math.log(config.min_entropy_weight)
         start = 0.1 if config.entropy_weight is None else config.entropy_weight
-        self.log_alpha = torch.tensor(float(start)).log().requires_grad_(True)
-        self.alpha_optimizer = torch.optim.Adam([self.log_alpha], lr=rate)
+        self.log_alpha = torch.tensor(float(start)).log()
+        if config.entropy_weight is None:
+            self.log_alpha.grad = torch.zeros(())
+            self.optimizers["alpha_optimizer"] = adam(self.log_alpha, config.policy_learning_rate)
         self._target_entropy = -float(sizes[1])
         self._discount, self._polyak = config.discount, config.polyak
-        # Rewards lie in [-1, 0], so no return leaves this interval; the entropy bonus could.
-        self._value_range = (-1.0 / (1.0 - config.discount), 0.0) if config.clip_values else (-math.inf, math.inf)
-        self._target_parameters = list(self.target_critic.parameters())
-        self._critic_parameters = list(self.critic.parameters())
+        self._value_range = critic_targets_range(config)
 
-    @property
-    def entropy_weight(self) -> float:
-        """Alpha."""
-        return float(self.log_alpha.detach().exp())
+    def networks(self) -> dict[str, torch.nn.Module]:
+        """All networks by name."""
+        return {"policy": self.policy, "critic": self.critic, "target_critic": self.target_critic}
 
-    def update(
-        self,
-        observations: Tensor,
-        actions: Tensor,
-        next_observations: Tensor,
-        goals: Tensor,
-        rewards: Tensor,
-        generator: torch.Generator,
-    ) -> dict[str, float]:
-        """One update of critics, policy, alpha and target critics on B transitions.
+    def tensors(self) -> dict[str, Tensor]:
+        """What else belongs to the agent's state."""
+        return {"log_alpha": self.log_alpha}
+
+    @torch.no_grad()
+    def update(self, batch: PolicyBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """One update of critics, policy, alpha and target critics.
 
         There is no terminal flag: goal reaching goes on after success, and a time limit is
         not an end of the task.
         """
-        metrics = self._update_critic(observations, actions, next_observations, goals, rewards, generator)
-        self._update_policy(observations, goals, generator)
-        move_towards(self._target_parameters, self._critic_parameters, self._polyak)
-        return metrics
+        alpha = self.log_alpha.exp()
+        # The policy does not change before both of its passes are done, so they are one pass.
+        states = torch.cat([batch.next_observations, batch.observations])
+        outputs, tape = self._policy.forward(torch.cat([states, batch.goals.repeat(2, 1)], dim=1))
+        (next_outputs, outputs), n = outputs.chunk(2), len(batch.rewards)
+        metrics = self._update_critics(batch, next_outputs, alpha, generator)
+        tape = [(inputs[n:], before[n:]) for inputs, before in tape]
+        surplus = self._update_policy(batch, outputs, tape, alpha, generator)
+        self._update_alpha(surplus)
+        self._target_vector.lerp_(self._critic_vector, self._polyak)
+        return {**metrics, "entropy_weight": alpha}
 
-    def _update_critic(
-        self,
-        observations: Tensor,
-        actions: Tensor,
-        next_observations: Tensor,
-        goals: Tensor,
-        rewards: Tensor,
-        generator: torch.Generator,
-    ) -> dict[str, float]:
-        with torch.no_grad():
-            next_actions, log_density = self.policy.sample(next_observations, goals, generator)
-            next_values = self.target_critic(next_observations, next_actions, goals).amin(0)
-            soft_values = next_values - self.entropy_weight * log_density
-            targets = (rewards + self._discount * soft_values).clamp(*self._value_range)
-        loss = (self.critic(observations, actions, goals) - targets).square().mean(-1).sum()
-        self.critic_optimizer.zero_grad()
-        loss.backward()
-        self.critic_optimizer.step()
-        return {"critic_loss": float(loss.detach()), "mean_value": float(targets.mean())}
+    def _update_critics(
+        self, batch: PolicyBatch, next_outputs: Tensor, alpha: Tensor, generator: torch.Generator
+    ) -> dict[str, Tensor]:
+        next_actions, log_density, _, _ = squash(next_outputs, generator)
+        inputs = torch.cat([batch.next_observations, next_actions, batch.goals], dim=1)
+        next_values = torch.minimum(*(target.outputs(inputs) for target in self._targets)).squeeze(1)
+        targets = batch.rewards + self._discount * (next_values - alpha * log_density)
+        targets = targets.clamp(*self._value_range)
+        inputs, loss = torch.cat([batch.observations, batch.actions, batch.goals], dim=1), torch.zeros(())
+        for critic in self._critics:
+            values, tape = critic.forward(inputs)
+            errors = values - targets.unsqueeze(1)
+            critic.backward(tape, errors * (2.0 / len(errors)))
+            loss = loss + errors.square().mean()
+        self.optimizers["critic_optimizer"].step()
+        return {"critic_loss": loss, "mean_value": targets.mean()}
 
-    def _update_policy(self, observations: Tensor, goals: Tensor, generator: torch.Generator) -> None:
-        actions, log_density = self.policy.sample(observations, goals, generator)
-        for parameter in self._critic_parameters:
-            parameter.requires_grad_(False)  # saves the weight gradients of a critic nobody updates here
-        values = self.critic(observations, actions, goals).amin(0)
-        loss = (self.entropy_weight * log_density - values).mean()
-        self.policy_optimizer.zero_grad()
-        loss.backward()
-        self.policy_optimizer.step()
-        for parameter in self._critic_parameters:
-            parameter.requires_grad_(True)
-        if self._fixed_alpha is None:
-            surplus = -(log_density.detach().mean() + self._target_entropy)
-            alpha_loss = self.log_alpha * surplus
-            # alpha falls while the policy's entropy exceeds the target, and rises below it.
-            self.alpha_optimizer.zero_grad()
-            alpha_loss.backward()
-            self.alpha_optimizer.step()
-            with torch.no_grad():
-                self.log_alpha.clamp_(min=self._min_log_alpha)
+    def _update_policy(
+        self, batch: PolicyBatch, outputs: Tensor, policy_tape: list, alpha: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        """Descend mean(alpha * log pi(a) - min Q(a)), a = tanh(mean + std * noise).
+
+        Returns how far the policy's entropy exceeds the target.
+        """
+        actions, log_density, noise, log_std = squash(outputs, generator)
+        inputs = torch.cat([batch.observations, actions, batch.goals], dim=1)
+        (first, first_tape), (second, second_tape) = (critic.forward(inputs) for critic in self._critics)
+        # d min Q / d Q is 1 for the smaller one of each row.
+        chosen, width = (first < second).to(first.dtype), batch.observations.shape[1]
+        columns = slice(width, width + actions.shape[1])
+        value_slope = self._critics[0].backward(first_tape, chosen, parameters=False, inputs=columns)
+        value_slope += self._critics[1].backward(second_tape, 1.0 - chosen, parameters=False, inputs=columns)
+        # Before tanh: log pi grows by 2 tanh(u) du (the squashing), Q by Q'(a) (1 - tanh(u)^2) du.
+        slope = (alpha * 2.0 * actions - value_slope * (1.0 - actions.square())) / len(actions)
+        log_std_slope = slope * log_std.exp() * noise - alpha / len(actions)
+        raw = outputs[:, actions.shape[1] :]
+        log_std_slope *= (raw == log_std).to(raw.dtype)  # no gradient through the clamp
+        self._policy.backward(policy_tape, torch.cat([slope, log_std_slope], dim=1))
+        self.optimizers["policy_optimizer"].step()
+        return -(log_density.mean() + self._target_entropy)
+
+    def _update_alpha(self, surplus: Tensor) -> None:
+        """Alpha falls while the policy's entropy exceeds the target, and rises below it."""
+        if "alpha_optimizer" in self.optimizers:
+            self.log_alpha.grad = surplus  # of the loss log_alpha * surplus
+            self.optimizers["alpha_optimizer"].step()
+            self.log_alpha.clamp_(min=self._min_log_alpha)

@@ -1,0 +1,80 @@
+"""Deep deterministic policy gradient (Lillicrap et al. 2016), as HER uses it for pick-and-place."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from torch import Tensor
+
+from napsp.agent import PolicyBatch, critic_targets_range
+from napsp.backprop import Backprop, adam, flatten
+from napsp.config import TrainConfig
+from napsp.networks import Critic, DeterministicPolicy
+
+
+class DDPG:
+    """Deterministic policy and one critic, each with a slow copy."""
+
+    def __init__(self, sizes: tuple[int, int, int], config: TrainConfig) -> None:
+        self.policy = DeterministicPolicy(sizes, config.hidden, config.action_noise)
+        self.critic = Critic(sizes, config.hidden, n_critics=1)
+        self.target_policy, self.target_critic = copy.deepcopy(self.policy), copy.deepcopy(self.critic)
+        self._vectors = [flatten([self.policy]), flatten([self.critic])]
+        self._target_vectors = [flatten([self.target_policy]), flatten([self.target_critic])]
+        self.optimizers = {
+            "policy_optimizer": adam(self._vectors[0], config.policy_learning_rate),
+            "critic_optimizer": adam(self._vectors[1], config.policy_learning_rate),
+        }
+        self._policy, self._critic = Backprop(self.policy.net), Backprop(self.critic.nets[0])
+        self._next_policy, self._next_critic = Backprop(self.target_policy.net), Backprop(self.target_critic.nets[0])
+        self._discount, self._polyak = config.discount, config.polyak
+        self._action_penalty = config.action_penalty
+        self._value_range = critic_targets_range(config)
+
+    def networks(self) -> dict[str, torch.nn.Module]:
+        """All networks by name."""
+        return {
+            "policy": self.policy,
+            "critic": self.critic,
+            "target_policy": self.target_policy,
+            "target_critic": self.target_critic,
+        }
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Nothing beside the networks."""
+        return {}
+
+    @torch.no_grad()
+    def update(self, batch: PolicyBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """One update of critic, policy and their targets; no terminal flag, as in SAC."""
+        del generator  # deterministic
+        metrics = self._update_critic(batch)
+        self._update_policy(batch)
+        for target, vector in zip(self._target_vectors, self._vectors, strict=True):
+            target.lerp_(vector, self._polyak)
+        return metrics
+
+    def _update_critic(self, batch: PolicyBatch) -> dict[str, Tensor]:
+        states = batch.next_observations
+        next_actions = self._next_policy.forward(torch.cat([states, batch.goals], dim=1))[0].tanh()
+        next_values = self._next_critic.forward(torch.cat([states, next_actions, batch.goals], dim=1))[0]
+        targets = batch.rewards.unsqueeze(1) + self._discount * next_values
+        targets = targets.clamp(*self._value_range)
+        values, tape = self._critic.forward(torch.cat([batch.observations, batch.actions, batch.goals], dim=1))
+        errors = values - targets
+        self._critic.backward(tape, errors * (2.0 / len(errors)))
+        self.optimizers["critic_optimizer"].step()
+        return {"critic_loss": errors.square().mean(), "mean_value": targets.mean()}
+
+    def _update_policy(self, batch: PolicyBatch) -> None:
+        """Descend mean(-Q(s, tanh(u), g)) + penalty * mean(tanh(u)^2)."""
+        outputs, policy_tape = self._policy.forward(torch.cat([batch.observations, batch.goals], dim=1))
+        actions = outputs.tanh()
+        values, tape = self._critic.forward(torch.cat([batch.observations, actions, batch.goals], dim=1))
+        width = batch.observations.shape[1]
+        columns = slice(width, width + actions.shape[1])
+        value_slope = self._critic.backward(tape, torch.ones_like(values), parameters=False, inputs=columns)
+        slope = (2.0 * self._action_penalty / actions.shape[1]) * actions - value_slope
+        self._policy.backward(policy_tape, slope * (1.0 - actions.square()) / len(actions))
+        self.optimizers["policy_optimizer"].step()

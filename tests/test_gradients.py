@@ -1,0 +1,147 @@
+"""Hand-written gradients equal autograd's; flat parameters stay the networks' own."""
+
+import copy
+
+import pytest
+import torch
+
+from napsp.agent import PolicyBatch
+from napsp.backprop import Backprop, adam, flatten
+from napsp.config import preset
+from napsp.ddpg import DDPG
+from napsp.losses import squared_error
+from napsp.networks import mlp
+from napsp.regression import DistanceRegression
+from napsp.sac import SAC, squash
+
+SIZES = (5, 2, 3)
+
+
+def batch(n=64):
+    generator = torch.Generator().manual_seed(1)
+    rows = [torch.randn(n, size, generator=generator) for size in (5, 2, 5, 3)]
+    return PolicyBatch(rows[0], rows[1].tanh(), rows[2], rows[3], -torch.rand(n, generator=generator))
+
+
+def config(**changes):
+    return preset("point_maze", hidden=(32, 16), batch_size=64, **changes)
+
+
+def gradients(loss, network):
+    return torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, list(network.parameters()))])
+
+
+def written(network):
+    return torch.cat([parameter.grad.reshape(-1) for parameter in network.parameters()])
+
+
+def test_backprop_equals_autograd():
+    torch.manual_seed(0)
+    net = mlp(4, (16, 8), 3).double()
+    flatten([net])
+    inputs = torch.randn(10, 4, dtype=torch.double, requires_grad=True)
+    weights = torch.randn(10, 3, dtype=torch.double)
+    outputs = net(inputs)
+    expected = gradients((outputs * weights).sum(), net)
+    (expected_inputs,) = torch.autograd.grad((net(inputs) * weights).sum(), inputs)
+    with torch.no_grad():
+        backprop = Backprop(net)
+        own, tape = backprop.forward(inputs)
+        slope = backprop.backward(tape, weights, inputs=slice(1, 3))
+        torch.testing.assert_close(own, outputs.detach())
+        torch.testing.assert_close(backprop.outputs(inputs.detach()), outputs.detach())
+        torch.testing.assert_close(written(net), expected)
+        torch.testing.assert_close(slope, expected_inputs[:, 1:3])
+        net[0].weight.grad.zero_()
+        backprop.backward(tape, weights, parameters=False)
+        assert not net[0].weight.grad.any()
+
+
+def test_flat_parameters_are_views_and_adam_equals_torch():
+    torch.manual_seed(0)
+    net = mlp(3, (8,), 2)
+    twin = copy.deepcopy(net)
+    vector = flatten([net])
+    ours, theirs = adam(vector, 1e-2), torch.optim.Adam(twin.parameters(), lr=1e-2)
+    inputs = torch.randn(6, 3)
+    for _ in range(20):
+        twin.zero_grad()
+        twin(inputs).square().sum().backward()
+        theirs.step()
+        with torch.no_grad():
+            backprop = Backprop(net)
+            outputs, tape = backprop.forward(inputs)
+            backprop.backward(tape, 2.0 * outputs)
+        ours.step()
+    torch.testing.assert_close(net(inputs), twin(inputs))
+    net.load_state_dict(copy.deepcopy(net).state_dict())
+    assert net[0].weight.data_ptr() == vector.data_ptr()
+
+
+def test_squared_error_gradient():
+    fractions, labels = torch.rand(7, dtype=torch.double, requires_grad=True), torch.rand(7, dtype=torch.double)
+    loss, gradient = squared_error(fractions, labels, n_sampled=20)
+    torch.testing.assert_close(torch.autograd.grad(loss, fractions)[0], gradient.detach())
+    torch.testing.assert_close(loss, ((fractions - labels) ** 2).sum() / 20)
+
+
+@pytest.mark.parametrize("output", ["linear", "softplus"])
+def test_distance_step_is_the_gradient_of_the_mean_squared_error_in_units_of_t(output):
+    torch.manual_seed(0)
+    regression = DistanceRegression(SIZES, config(distance_output=output))
+    rows = batch()
+    inputs = torch.cat([rows.observations, rows.actions, rows.goals], dim=1)
+    labels = 50 * torch.rand(64)
+    predictions = regression.distance(rows.observations, rows.actions, rows.goals)
+    expected = gradients(0.5 * ((predictions - labels) / 50).square().mean(), regression.distance)
+    loss, own = regression.fit(inputs, labels, n_sampled=64, weight=0.5)
+    torch.testing.assert_close(own, predictions.detach())
+    torch.testing.assert_close(loss, ((predictions.detach() - labels) / 50).square().mean())
+    torch.testing.assert_close(written(regression.distance), expected, atol=1e-7, rtol=1e-4)
+
+
+def test_sac_gradients_equal_autograd():
+    torch.manual_seed(0)
+    agent, rows = SAC(SIZES, config()), batch()
+    with torch.no_grad():  # large log deviations, so that the clamp is met too
+        agent.policy.net[-1].bias[2:] += torch.tensor([3.0, -1.0])
+    before = {name: copy.deepcopy(network) for name, network in agent.networks().items()}
+    alpha, generator = agent.log_alpha.exp(), torch.Generator().manual_seed(5)
+    agent.update(rows, torch.Generator().manual_seed(5))
+
+    policy, critic, target = (before[name] for name in ("policy", "critic", "target_critic"))
+    with torch.no_grad():
+        next_actions, log_density, *_ = squash(policy(rows.next_observations, rows.goals), generator)
+        values = target(rows.next_observations, next_actions, rows.goals).amin(0) - alpha * log_density
+        targets = (rows.rewards + 0.98 * values).clamp(-50.0, 0.0)
+    loss = (critic(rows.observations, rows.actions, rows.goals) - targets).square().mean(1).sum()
+    torch.testing.assert_close(written(agent.critic), gradients(loss, critic), atol=1e-6, rtol=1e-3)
+
+    actions, log_density, *_ = squash(policy(rows.observations, rows.goals), generator)
+    values = agent.critic(rows.observations, actions, rows.goals).amin(0)
+    expected = gradients((alpha * log_density - values).mean(), policy)
+    torch.testing.assert_close(written(agent.policy), expected, atol=1e-6, rtol=1e-3)
+    torch.testing.assert_close(agent.log_alpha.grad, -(log_density.mean().detach() - 2.0))
+    moved = [p + 0.01 * (q - p) for p, q in zip(target.parameters(), agent.critic.parameters(), strict=True)]
+    for own, wanted in zip(agent.target_critic.parameters(), moved, strict=True):
+        torch.testing.assert_close(own, wanted.detach())
+
+
+def test_ddpg_gradients_equal_autograd():
+    torch.manual_seed(0)
+    agent, rows = DDPG(SIZES, config(agent="ddpg", action_penalty=0.7)), batch()
+    before = {name: copy.deepcopy(network) for name, network in agent.networks().items()}
+    agent.update(rows, torch.Generator())
+
+    policy, critic = before["policy"], before["critic"]
+    with torch.no_grad():
+        next_actions = before["target_policy"].mode(rows.next_observations, rows.goals)
+        values = before["target_critic"](rows.next_observations, next_actions, rows.goals)[0]
+        targets = (rows.rewards + 0.98 * values).clamp(-50.0, 0.0)
+    loss = (critic(rows.observations, rows.actions, rows.goals)[0] - targets).square().mean()
+    torch.testing.assert_close(written(agent.critic), gradients(loss, critic), atol=1e-6, rtol=1e-3)
+
+    actions = policy.mode(rows.observations, rows.goals)
+    loss = -agent.critic(rows.observations, actions, rows.goals).mean() + 0.7 * actions.square().mean()
+    torch.testing.assert_close(written(agent.policy), gradients(loss, policy), atol=1e-6, rtol=1e-3)
+    assert not torch.equal(agent.target_policy.net[0].weight, policy.net[0].weight)
