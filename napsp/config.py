@@ -24,7 +24,7 @@ class TrainConfig:
     """Options of Algorithm 1. Lengths are in control steps, distances in steps."""
 
     env: str = "fetch_wall"
-    """Task: point_maze, point_maze_long, fetch_reach or fetch_wall."""
+    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall, fetch_pick_place or fetch_pick_place_wall."""
     method: str = "ours"
     """sparse: binary reward. ddl: on-policy temporal regression. offpolicy_ddl: eq. 4a.
     ours: eq. 4a and 4b (the paper)."""
@@ -185,6 +185,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "evaluate_every": (1, MANY),
     "n_evaluation_episodes": (1, MANY),
 }
+PICK_PLACE: dict[str, Any] = {"n_episodes": 11_000, "evaluate_every": 500, "epsilon": 0.3}
 PRESETS: dict[str, dict[str, Any]] = {
     "point_maze": {"n_episodes": 1000, "episodes_per_iteration": 4, "evaluate_every": 100},
     "point_maze_long": {
@@ -203,6 +204,10 @@ PRESETS: dict[str, dict[str, Any]] = {
         "policy_learning_rate": 3e-4,
     },
     "fetch_wall": {"n_episodes": 500},
+    "fetch_pick_place": PICK_PLACE,
+    "fetch_pick_place_wall": PICK_PLACE,
+    "fetch_pick_place_plain": PICK_PLACE,
+    "fetch_pick_place_wall_plain": PICK_PLACE,
 }
 
 

@@ -26,7 +26,8 @@ class PlanOptions:
     """Plan with MuJoCo rollouts, step after step, and report how it went."""
 
     env: str = "fetch_wall"
-    """Task: point_maze, point_maze_long, fetch_reach or fetch_wall (= fetch_reach_wall)."""
+    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall (= fetch_reach_wall),
+    fetch_pick_place or fetch_pick_place_wall."""
     episodes: int = 10
     """Episodes to run, on the seeds seed, seed + 1, ..."""
     seed: int = 0
@@ -43,7 +44,7 @@ class PlanOptions:
     samples: int = 64
     """Plans per refinement."""
     horizon: int | None = None
-    """Control steps per plan; default by task (5 for Fetch, 16 for the mazes)."""
+    """Control steps per plan; default by task (5 for reaching, 15 for pick and place, 16 for the mazes)."""
     knots: int | None = None
     """Spline knots per plan; default one per control step."""
     interpolation: Literal["zero", "linear", "cubic"] = "linear"
@@ -85,4 +86,9 @@ class MPPIOptions(PlanOptions):
 
 
 OPTIONS: dict[str, type[PlanOptions]] = {"mppi": MPPIOptions}
-HORIZONS = {"point_maze": 16, "point_maze_long": 16, "fetch_reach": 5, "fetch_wall": 5}
+HORIZONS = {
+    **dict.fromkeys(("point_maze", "point_maze_long"), 16),
+    **dict.fromkeys(("fetch_reach", "fetch_wall"), 5),
+    **dict.fromkeys(("fetch_pick_place", "fetch_pick_place_wall"), 15),
+    **dict.fromkeys(("fetch_pick_place_plain", "fetch_pick_place_wall_plain"), 15),
+}

@@ -19,8 +19,33 @@ TASKS: dict[str, tuple[str, str, dict, int]] = {
     "point_maze_long": ("napsp/PointMazeLong-v0", "napsp.envs.point_maze:PointMazeEnv", {"scale": 4.0}, 200),
     "fetch_reach": ("napsp/FetchReach-v0", "napsp.envs.fetch:FetchReachEnv", {}, 50),
     "fetch_wall": ("napsp/FetchReachWall-v0", "napsp.envs.fetch:FetchReachWallEnv", {}, 50),
+    "fetch_pick_place": ("napsp/FetchPickPlace-v0", "napsp.envs.fetch_pick_place:FetchPickPlaceEnv", {}, 50),
+    "fetch_pick_place_wall": (
+        "napsp/FetchPickPlaceWall-v0",
+        "napsp.envs.fetch_pick_place:FetchPickPlaceWallEnv",
+        {},
+        50,
+    ),
+    # The same with the box's position alone as the goal, as in stock Fetch.
+    "fetch_pick_place_plain": (
+        "napsp/FetchPickPlacePlain-v0",
+        "napsp.envs.fetch_pick_place:FetchPickPlaceEnv",
+        {"augmented_goal": False},
+        50,
+    ),
+    "fetch_pick_place_wall_plain": (
+        "napsp/FetchPickPlaceWallPlain-v0",
+        "napsp.envs.fetch_pick_place:FetchPickPlaceWallEnv",
+        {"augmented_goal": False},
+        50,
+    ),
 }
-ALIASES = {"fetch_reach_wall": "fetch_wall"}
+ALIASES = {
+    "fetch_reach_wall": "fetch_wall",
+    "fetch_pick_and_place": "fetch_pick_place",
+    "fetch_pick_and_place_wall": "fetch_pick_place_wall",
+    "pick_place_wall": "fetch_pick_place_wall",
+}
 
 
 def canonical_name(name: str) -> str:

@@ -1,8 +1,6 @@
 """Fetch reaching tasks, with and without a wall (paper, section 6 "3D reaching task").
 
-Built on gymnasium-robotics' v4 Fetch classes: same robot, actions, observation and success
-test. What is ours: the wall, collision filtering of the arm *in the model itself*, and one
-control step as functions of ``(model, data)`` that environment and planner share.
+See :mod:`napsp.envs.fetch_arm` for what differs from gymnasium-robotics' FetchReach.
 """
 
 from __future__ import annotations
@@ -14,33 +12,11 @@ import mujoco
 import numpy as np
 from gymnasium_robotics.envs.fetch.reach import MujocoFetchReachEnv
 
-from napsp.envs.dynamics import INTEGRATION_STATE
-
-ACTION_SCALE = np.float32(0.05)  # metres of mocap displacement per unit action, as in Fetch
-# Fetch adds this quaternion to the gripper's own one; MuJoCo normalises the sum.
-GRIPPER_ROTATION = np.array([1.0, 0.0, 1.0, 0.0])
-GRIPPER_BODIES = ("robot0:gripper_link", "robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
-LOWER_ARM_BODIES = tuple(
-    f"robot0:{link}_link" for link in ("upperarm_roll", "elbow_flex", "forearm_roll", "wrist_flex", "wrist_roll")
-)
-BASE_BODIES = tuple(f"robot0:{link}_link" for link in ("base", "torso_lift", "torso_fixed", "laser", "estop"))
-# Collision bits besides MuJoCo's default 1, which gripper, fingers, table and wall share.
-ARM_BIT = 2  # lower arm: meets table and wall
-BASE_BIT = 4  # base and torso: meet the gripper
+from napsp.envs.fetch_arm import GRIPPER_ROTATION, FetchDynamics, FetchSimulation, ThinFetch, Walled
 
 
-class FetchReachSimulation:
-    """The arm on one ``MjData``."""
-
-    def __init__(self, dynamics: FetchReachDynamics, data: mujoco.MjData) -> None:
-        model = dynamics.model
-        self._model, self._data, self._substeps = model, data, dynamics.substeps
-        gripper, site = model.body("robot0:gripper_link").id, model.site("robot0:grip").id
-        self._anchor, self._rotation = data.xpos[gripper], data.xquat[gripper]
-        self._target, self._target_rotation = data.mocap_pos[0], data.mocap_quat[0]
-        self._fingers = data.qpos[dynamics.fingers]
-        frames = data.xaxis.reshape(-1), data.xanchor.reshape(-1)
-        self._recorded = (data.site_xpos[site], self._fingers, data.qvel, *frames)
+class FetchReachSimulation(FetchSimulation):
+    """The arm with blocked fingers on one ``MjData``."""
 
     def advance(self, controls: np.ndarray, features: np.ndarray) -> None:
         """Run control steps ``(n, 3)``, writing features ``(n, F)``.
@@ -66,48 +42,13 @@ class FetchReachSimulation:
             update_poses()
             record(row)
 
-    def observe(self, features: np.ndarray) -> None:
-        """Write the features ``(F,)`` of the current, fresh state."""
-        np.concatenate(self._recorded, 0, features)
 
-    def restore(self, state: np.ndarray) -> None:
-        """Load a full integration state and the gripper pose the next step anchors to."""
-        mujoco.mj_setState(self._model, self._data, state, INTEGRATION_STATE)
-        mujoco.mj_kinematics(self._model, self._data)
-
-
-class FetchReachDynamics:
-    """Mocap control of the gripper with blocked fingers.
-
-    A control row is the displacement of the mocap anchor ``(3,)`` in metres. Features, for J
-    joints: grip position (3), finger positions (2), qvel (J), and in world coordinates the
-    joints' axes (3 J) and anchors (3 J), which give the grip's velocity without a Jacobian call.
-    """
-
-    open_loop = False  # the mocap target is re-anchored to the simulated gripper every step
-    substeps = 20
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
-        self.n_features = 5 + 7 * model.njnt
-        self._dt = self.substeps * model.opt.timestep
-        right, left = (model.joint(f"robot0:{side}_gripper_finger_joint") for side in ("r", "l"))
-        first = int(right.qposadr[0])
-        if model.nv != model.njnt or int(left.qposadr[0]) != first + 1:
-            raise ValueError("the Fetch model has changed: expected one-dof joints and neighbouring fingers")
-        self.fingers = slice(first, first + 2)
-        self._moves_grip = np.zeros(model.njnt)
-        self._moves_grip[_joints_above(model, model.body("robot0:gripper_link").id)] = 1.0
-        self._hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+class FetchReachDynamics(FetchDynamics):
+    """Mocap control of the gripper with blocked fingers; a control row is a displacement ``(3,)``."""
 
     def bind(self, data: mujoco.MjData) -> FetchReachSimulation:
         """Simulate on ``data``."""
         return FetchReachSimulation(self, data)
-
-    def control(self, actions: np.ndarray) -> np.ndarray:
-        """Displacements ``(..., 3)`` in metres, in the float32 arithmetic Fetch itself uses."""
-        clipped = np.clip(np.asarray(actions, np.float32)[..., :3], -1.0, 1.0)
-        return (clipped * ACTION_SCALE).astype(np.float64)
 
     def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fetch's observation ``(..., 10)`` and the grip position ``(..., 3)``.
@@ -115,183 +56,28 @@ class FetchReachDynamics:
         Order: grip position [m], finger positions [m], grip velocity and finger velocities
         [m per control step].
         """
-        n, position = self.model.njnt, features[..., 0:3]
-        speeds = features[..., 5 : 5 + n] * self._dt
-        frames = features[..., 5 + n :].reshape(*features.shape[:-1], 2, n, 3)
         observation = np.empty((*features.shape[:-1], 10))
         observation[..., 0:5] = features[..., 0:5]
-        self._grip_velocity(position, speeds, frames, observation[..., 5:8])
-        observation[..., 8:10] = speeds[..., self.fingers]
-        return observation, position.copy()
-
-    def _grip_velocity(self, position: np.ndarray, speeds: np.ndarray, frames: np.ndarray, out: np.ndarray) -> None:
-        """Sum over the arm's joints: speed * axis for slides, speed * axis x lever for hinges.
-
-        Element-wise arithmetic and sums along a contiguous last axis only, so that a batch of
-        one and a batch of many agree to the bit.
-        """
-        axis = [frames[..., 0, :, i] for i in range(3)]
-        lever = [position[..., i, None] - frames[..., 1, :, i] for i in range(3)]
-        rates = speeds * self._moves_grip
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            turn = axis[j] * lever[k] - axis[k] * lever[j]
-            moved = np.ascontiguousarray(rates * np.where(self._hinges, turn, axis[i]))
-            out[..., i] = moved.sum(-1)
+        self._grip_velocity(features, observation[..., 5:8])
+        observation[..., 8:10] = features[..., 5 + self.fingers.start : 5 + self.fingers.stop] * self._dt
+        return observation, features[..., 0:3].copy()
 
 
-def _joints_above(model: mujoco.MjModel, body: int) -> list[int]:
-    """Joints between the world and a body."""
-    joints: list[int] = []
-    while body:
-        first = int(model.body_jntadr[body])
-        joints += range(first, first + int(model.body_jntnum[body]))
-        body = int(model.body_parentid[body])
-    return joints
+class FetchReachEnv(ThinFetch, MujocoFetchReachEnv):
+    """FetchReach with a thin step and, unless ``arm_self_collision``, a filtered arm."""
+
+    def _make_dynamics(self, model: mujoco.MjModel) -> FetchReachDynamics:
+        return FetchReachDynamics(model)
 
 
-class FetchReachEnv(MujocoFetchReachEnv):
-    """FetchReach with a thin step and, unless ``arm_self_collision``, a filtered arm.
+class FetchReachWallEnv(Walled, FetchReachEnv):
+    """Start on one half of the table, goal on the other half, a wall between (paper, section 6)."""
 
-    Without self-collision the arm's links still collide with table and wall, and gripper
-    and fingers with everything; robot-against-itself and base-against-floor pairs are off,
-    which makes a physics step about twice as fast.
-    """
-
-    step_length = 0.033  # metres per control step along one axis at full speed
-
-    def __init__(self, arm_self_collision: bool = False, **kwargs: Any) -> None:
-        self._arm_self_collision = arm_self_collision
-        super().__init__(**kwargs)
-
-    def _build_model(self) -> mujoco.MjModel:
-        spec = mujoco.MjSpec.from_file(self.fullpath)
-        self._add_obstacles(spec)
-        if not self._arm_self_collision:
-            filter_collisions(spec)
-        return spec.compile()
-
-    def _add_obstacles(self, spec: mujoco.MjSpec) -> None:
-        """Hook for variants."""
-
-    def _initialize_simulation(self) -> None:
-        self.model = self._build_model()
-        self.data = mujoco.MjData(self.model)
-        self._model_names = self._utils.MujocoModelNames(self.model)
-        self.model.vis.global_.offwidth = max(self.width, 640)
-        self.model.vis.global_.offheight = max(self.height, 480)
-        self.dynamics = FetchReachDynamics(self.model)
-        self._simulation = self.dynamics.bind(self.data)
-        self._features = np.zeros((1, self.dynamics.n_features))
-        self._env_setup(initial_qpos=self.initial_qpos)
-        self.initial_time = self.data.time
-        self.initial_qpos = np.copy(self.data.qpos)
-        self.initial_qvel = np.copy(self.data.qvel)
-
-    def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
-        """Advance one control step (0.04 s); same result as Fetch's own step, less Python."""
-        if np.shape(action) != self.action_space.shape:
-            raise ValueError(f"action has shape {np.shape(action)}, expected {self.action_space.shape}")
-        self._advance(self.dynamics.control(action))
-        if self.render_mode == "human":
-            self.render()
-        observation = self._observation()
-        reward = self.compute_reward(observation["achieved_goal"], self.goal, {})
-        success = bool(self.reached(observation["achieved_goal"], self.goal))
-        return observation, float(reward), False, False, {"is_success": success}
-
-    def _advance(self, control: np.ndarray) -> None:
-        self._simulation.advance(control[None], self._features)
-
-    def _get_obs(self) -> dict[str, np.ndarray]:
-        self._simulation.observe(self._features[0])
-        return self._observation()
-
-    def _observation(self) -> dict[str, np.ndarray]:
-        observation, achieved_goal = self.dynamics.observe(self._features[0])
-        return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
-
-    def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
-        """Tell for each pair of goals ``(..., 3)`` whether they are within 5 cm."""
-        offset = np.asarray(achieved_goal) - np.asarray(desired_goal)
-        return np.linalg.norm(offset, axis=-1) < self.distance_threshold
-
-    def goal_positions(self, goals: np.ndarray) -> np.ndarray:
-        """Where goals ``(..., 3)`` lie in the world, for pictures."""
-        return goals
-
-
-class FetchReachWallEnv(FetchReachEnv):
-    """Start on one half of the table, goal on the other half, a wall between (paper, section 6).
-
-    The wall is wider than the table on purpose: around the far end of a table-wide wall the
-    arm finds a way without lifting. Over the top is the only way.
-    """
-
-    WALL_Y, WALL_HALF_THICKNESS, WALL_X = 0.75, 0.02, (0.70, 1.80)
-    TABLE_TOP = 0.40
-    START_GRIP = np.array([1.34, 0.60, 0.50])
     GOAL_LOW = np.array([1.20, 0.85, 0.42])  # "on the ground": at most 2 cm above the lowest
     GOAL_HIGH = np.array([1.48, 1.00, 0.44])  # grip height the fingers allow (0.4185)
 
     def __init__(self, wall_height: float = 0.20, **kwargs: Any) -> None:
-        self.wall_height = wall_height
-        super().__init__(**kwargs)
-
-    def _add_obstacles(self, spec: mujoco.MjSpec) -> None:
-        near, far = self.WALL_X
-        top = self.TABLE_TOP + self.wall_height  # down to the floor: beside the table nothing else is in the way
-        spec.worldbody.add_geom(
-            name="wall",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[(near + far) / 2, self.WALL_Y, top / 2],
-            size=[(far - near) / 2, self.WALL_HALF_THICKNESS, top / 2],
-            solref=[0.01, 1.0],  # twice as stiff as the default: half the penetration
-            rgba=[0.55, 0.27, 0.22, 0.8],
-        )
-
-    def _env_setup(self, initial_qpos: dict) -> None:
-        super()._env_setup(initial_qpos)
-        # Walk the gripper to the start in small increments, then let it settle.
-        grip = self.data.site_xpos[self.model.site("robot0:grip").id]
-        for _ in range(12):
-            step = np.clip(self.START_GRIP - grip, -ACTION_SCALE, ACTION_SCALE)
-            self._advance(step)
-        for _ in range(5):
-            self._advance(np.zeros(3))
-        self.initial_gripper_xpos = grip.copy()
+        super().__init__(wall_height, **kwargs)
 
     def _sample_goal(self) -> np.ndarray:
         return self.np_random.uniform(self.GOAL_LOW, self.GOAL_HIGH)
-
-
-def filter_collisions(spec: mujoco.MjSpec) -> None:
-    """Switch off arm self-collision; keep arm and gripper solid against table, wall and base.
-
-    A pair is tested when ``contype & conaffinity`` overlap in either direction. Gripper and
-    fingers meet everything but the arm; the lower arm meets table and wall; base and torso
-    meet the gripper only, so that it cannot slip past the wall through the robot.
-
-    The gripper's collision mesh becomes the box fitted to it: contact between two boxes costs
-    half of what mesh against box costs, and a plan that leans on the wall is all contact.
-    """
-    gripper = spec.body("robot0:gripper_link")
-    hull = gripper.first_geom()
-    gripper.add_geom(type=hull.type, meshname=hull.meshname, material=hull.material, contype=0, conaffinity=0)
-    hull.type = mujoco.mjtGeom.mjGEOM_BOX  # fitted to the mesh by the compiler
-    hull.group = 3  # not drawn
-    for body in spec.bodies:
-        for geom in body.geoms:
-            if not (geom.contype or geom.conaffinity):
-                continue
-            if body.name in GRIPPER_BODIES:
-                geom.conaffinity = 1 | BASE_BIT
-                geom.condim = 3  # sliding friction only: torsion matters for grasping, and nothing is grasped
-            elif body.name in LOWER_ARM_BODIES:
-                geom.contype, geom.conaffinity = ARM_BIT, 0
-            elif body.name in BASE_BODIES:
-                geom.contype, geom.conaffinity = BASE_BIT, 0
-            elif body.name.startswith("robot0:"):
-                geom.contype, geom.conaffinity = 0, 0
-            elif body.name == "table0" or geom.name == "wall":
-                geom.conaffinity = 1 | ARM_BIT
