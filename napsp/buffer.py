@@ -27,6 +27,9 @@ class Episodes:
     def __len__(self) -> int:
         return len(self.actions)
 
+    def __getitem__(self, part: slice) -> Episodes:
+        return Episodes(*(getattr(self, name)[part] for name in FIELDS))
+
 
 FIELDS = ("observations", "achieved_goals", "actions", "desired_goals")
 

@@ -35,7 +35,9 @@ class TrainConfig:
     n_episodes: int = 500
     """Training episodes in total, warm-up included."""
     n_warmup_episodes: int = 20
-    """Episodes of random actions that seed the buffer D and fix the input scaling."""
+    """Episodes of random actions that seed the buffer D and set the input scaling."""
+    rescale: bool = False
+    """Estimate the input scaling anew each time D has doubled, not from the warm-up alone."""
     episodes_per_iteration: int = 2
     """Episodes collected per iteration (the size of D_last)."""
     n_temporal_updates: int = 50
@@ -185,7 +187,17 @@ RANGES: dict[str, tuple[float, float]] = {
     "evaluate_every": (1, MANY),
     "n_evaluation_episodes": (1, MANY),
 }
-PICK_PLACE: dict[str, Any] = {"n_episodes": 11_000, "evaluate_every": 500, "epsilon": 0.3}
+PICK_PLACE: dict[str, Any] = {
+    "n_episodes": 11_000,
+    "n_warmup_episodes": 200,
+    "rescale": True,
+    "agent": "ddpg",
+    "hidden": (256, 256, 256),
+    "epsilon": 0.3,
+    "exploration_hold": 1,
+    "evaluate_every": 500,
+    "n_evaluation_episodes": 50,
+}
 PRESETS: dict[str, dict[str, Any]] = {
     "point_maze": {"n_episodes": 1000, "episodes_per_iteration": 4, "evaluate_every": 100},
     "point_maze_long": {

@@ -12,6 +12,8 @@ import numpy as np
 from napsp.buffer import Episodes
 from napsp.scaling import Scaling
 
+RECOUNT_CHUNK = 200  # episodes; their pairs i < j fill some tens of megabytes
+
 
 class HashedCounts:
     """Counts of SimHash keys, kept sorted for exact look-up."""
@@ -50,7 +52,7 @@ class CountModel:
     """N(s, a) and N(s, a, g), fed with whole episodes; and U of eq. 2.
 
     ``scaling`` maps raw (observation, goal) to centred, scaled ones and must stay fixed
-    while counts exist: a key that moves loses its history.
+    while counts exist: a key that moves loses its history. :meth:`recount` changes it.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class CountModel:
         rng: np.random.Generator,
     ) -> None:
         n_observation, n_action, n_goal = sizes
-        self._scaling = scaling
+        self.scaling = scaling
         self.visit_table = HashedCounts(n_observation + n_action, visit_bits, rng)
         self.reached_table = HashedCounts(n_observation + n_action + n_goal, reached_bits, rng)
 
@@ -74,10 +76,18 @@ class CountModel:
         n_episodes, horizon = episodes.actions.shape[:2]
         pairs = self._pairs(episodes.observations[:, :-1], episodes.actions)
         self.visit_table.add(pairs.reshape(n_episodes * horizon, -1))
-        goals = self._scaling.goal(episodes.achieved_goals)
+        goals = self.scaling.goal(episodes.achieved_goals)
         first, later = np.triu_indices(horizon + 1, k=1)
         reached = np.concatenate([pairs[:, first], goals[:, later]], axis=-1)
         self.reached_table.add(reached.reshape(n_episodes * len(first), -1))
+
+    def recount(self, episodes: Episodes, scaling: Scaling) -> None:
+        """Count all episodes again under another scaling."""
+        self.scaling = scaling
+        for table in (self.visit_table, self.reached_table):
+            table.keys, table.counts = np.empty(0, np.int64), np.empty(0, np.int64)
+        for start in range(0, len(episodes), RECOUNT_CHUNK):
+            self.update(episodes[start : start + RECOUNT_CHUNK])
 
     def visits(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """N(s, a), ``(B,)``."""
@@ -86,10 +96,10 @@ class CountModel:
     def reached(self, observations: np.ndarray, actions: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """N(s, a, g), ``(B,)``: how often g was reached later in an episode through (s, a)."""
         pairs = self._pairs(observations, actions)
-        return self.reached_table.count(np.concatenate([pairs, self._scaling.goal(goals)], axis=-1))
+        return self.reached_table.count(np.concatenate([pairs, self.scaling.goal(goals)], axis=-1))
 
     def _pairs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        return np.concatenate([self._scaling.observation(observations), actions], axis=-1)
+        return np.concatenate([self.scaling.observation(observations), actions], axis=-1)
 
 
 def uncertainty(visits: np.ndarray, scale: float, power: float) -> np.ndarray:

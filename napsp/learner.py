@@ -14,6 +14,7 @@ from napsp.config import TrainConfig
 from napsp.counts import CountModel, uncertainty
 from napsp.ddpg import DDPG
 from napsp.losses import hypotenuse, temporal_label
+from napsp.networks import rescale
 from napsp.regression import DistanceRegression
 from napsp.sac import SAC
 from napsp.scaling import Scaling
@@ -43,15 +44,14 @@ class Learner:
         self._sparse_reward = sparse_reward
         self.regression = DistanceRegression(sizes, config)
         self.agent: Agent = AGENTS[config.agent](sizes, config)
-        # Goals are scaled by achieved and desired ones together: random play stays near the start.
-        goals = np.concatenate([warmup.achieved_goals.reshape(-1, sizes[2]), warmup.desired_goals])
-        scaling = Scaling(warmup.observations, goals)
+        scaling = _scaling(warmup)
         for network in self.networks().values():
             network.scaling.set(scaling)  # type: ignore[operator, union-attr]
         self.counts = CountModel(sizes, config.visit_bits, config.reached_bits, scaling, rng)
         self.buffer = EpisodeBuffer()
         self.buffer.extend(warmup)
         self.counts.update(warmup)
+        self.scaled_at = len(warmup)
 
     def networks(self) -> dict[str, torch.nn.Module]:
         """All networks by name."""
@@ -62,6 +62,21 @@ class Learner:
     def optimizers(self) -> dict[str, torch.optim.Adam]:
         """All optimisers by name."""
         return {"distance_optimizer": self.regression.optimizer, **self.agent.optimizers}
+
+    def extend_buffer(self, recent: Episodes) -> None:
+        """Algorithm 1, line 22: D <- D + D_last.
+
+        With ``rescale`` the input scaling is estimated anew whenever D has doubled: random
+        play says nothing about the spread of what only a skilled policy does, such as the
+        height of a lifted box. The networks keep their functions, and D is counted again.
+        """
+        self.buffer.extend(recent)
+        if self.config.rescale and len(self.buffer) >= 2 * self.scaled_at:
+            self.scaled_at = len(self.buffer)
+            scaling = _scaling(self.buffer.episodes())
+            for network in self.networks().values():
+                rescale(network, scaling)
+            self.counts.recount(self.buffer.episodes(), scaling)
 
     # Within a phase of Algorithm 1 everything that labels depend on is frozen (d_old and the counts for d, d for
     # the policy), so a phase draws all its samples and computes their labels at once.
@@ -145,6 +160,13 @@ class Learner:
         batches = PolicyBatch(observations, actions, next_observations, goals, rewards).split(config.batch_size)
         rows = [self.agent.update(batch, self.generator) for batch in batches]
         return {"mean_distance": mean_distance, **{name: _mean([row[name] for row in rows]) for name in rows[0]}}
+
+
+def _scaling(episodes: Episodes) -> Scaling:
+    """Scaling of all inputs; achieved and desired goals together, as random play stays near the start."""
+    achieved = episodes.achieved_goals
+    goals = np.concatenate([achieved.reshape(-1, achieved.shape[-1]), episodes.desired_goals])
+    return Scaling.estimate(episodes.observations, goals)
 
 
 def _mean(values: list[Tensor]) -> float:

@@ -39,8 +39,12 @@ class InputScaling(nn.Module):
 
     def set(self, scaling: Scaling) -> None:
         """Copy the numbers of a numpy :class:`Scaling`."""
-        for name in ("observation_mean", "observation_scale", "goal_mean", "goal_scale"):
-            getattr(self, name).copy_(torch.from_numpy(getattr(scaling, name)))
+        for name, values in vars(scaling).items():
+            getattr(self, name).copy_(torch.from_numpy(values))
+
+    def numbers(self) -> Scaling:
+        """The numpy :class:`Scaling` with the same numbers."""
+        return Scaling(*(getattr(self, name).numpy().copy() for name in Scaling.NUMBERS))
 
     def forward(self, observation: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
         """Scaled observation ``(B, O)`` and goal ``(B, G)``."""
@@ -49,6 +53,26 @@ class InputScaling(nn.Module):
             ((observation - self.observation_mean) / self.observation_scale).clamp(-limit, limit),
             ((goal - self.goal_mean) / self.goal_scale).clamp(-limit, limit),
         )
+
+
+@torch.no_grad()
+def rescale(network: nn.Module, scaling: Scaling) -> None:
+    """Give a network another input scaling and the same function (where nothing is clipped).
+
+    Its first layers must read observations in their first columns and goals in their last.
+    """
+    old: InputScaling = network.scaling  # type: ignore[assignment]
+    n_observation, n_goal = len(scaling.observation_mean), len(scaling.goal_mean)
+    parts = {"observation": slice(0, n_observation), "goal": slice(-n_goal, None)}
+    for net in getattr(network, "nets", None) or [network.net]:  # type: ignore[union-attr]
+        for name, columns in parts.items():
+            mean, scale = (torch.from_numpy(getattr(scaling, f"{name}_{part}")) for part in ("mean", "scale"))
+            old_mean, old_scale = getattr(old, f"{name}_mean"), getattr(old, f"{name}_scale")
+            first = next(layer for layer in net.modules() if isinstance(layer, nn.Linear))
+            weight = first.weight[:, columns]
+            first.bias += weight @ ((mean - old_mean) / old_scale)
+            weight *= scale / old_scale
+    old.set(scaling)
 
 
 class DistanceNetwork(nn.Module):

@@ -35,6 +35,7 @@ def save_training(path: Path, learner: Learner, iteration: int, seconds: float, 
         "config": learner.config.to_dict(),
         "iteration": iteration,
         "seconds": seconds,
+        "scaled_at": learner.scaled_at,
         "revisions": revisions,
         "rng": learner.rng.bit_generator.state,
     }
@@ -86,6 +87,7 @@ def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[
     for name, table in _tables(learner).items():
         table.projection = tensors[f"{name}.projection"].numpy()
         table.keys, table.counts = tensors[f"{name}.keys"].numpy(), tensors[f"{name}.counts"].numpy()
+    learner.counts.scaling, learner.scaled_at = learner.regression.distance.scaling.numbers(), header["scaled_at"]
     learner.generator.set_state(tensors["torch_generator"])
     learner.rng.bit_generator.state = header["rng"]
     return int(header["iteration"])

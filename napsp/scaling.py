@@ -6,13 +6,25 @@ import numpy as np
 
 
 class Scaling:
-    """Fixed centre and scale of observations and goals, estimated once from episodes."""
+    """Fixed centre and scale of observations ``(O,)`` and goals ``(G,)``."""
 
     LIMIT = 10.0  # scaled inputs are clipped to +-LIMIT standard deviations
+    NUMBERS = ("observation_mean", "observation_scale", "goal_mean", "goal_scale")
 
-    def __init__(self, observations: np.ndarray, goals: np.ndarray) -> None:
-        self.observation_mean, self.observation_scale = _moments(observations)
-        self.goal_mean, self.goal_scale = _moments(goals)
+    def __init__(
+        self,
+        observation_mean: np.ndarray,
+        observation_scale: np.ndarray,
+        goal_mean: np.ndarray,
+        goal_scale: np.ndarray,
+    ) -> None:
+        self.observation_mean, self.observation_scale = observation_mean, observation_scale
+        self.goal_mean, self.goal_scale = goal_mean, goal_scale
+
+    @classmethod
+    def estimate(cls, observations: np.ndarray, goals: np.ndarray) -> Scaling:
+        """Mean and standard deviation of rows ``(..., O)`` and ``(..., G)``."""
+        return cls(*_moments(observations), *_moments(goals))
 
     def observation(self, observations: np.ndarray) -> np.ndarray:
         """Scaled observations, same shape."""

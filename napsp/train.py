@@ -48,7 +48,7 @@ def train(config: TrainConfig, folder: Path, restart: bool = False, tensorboard:
             if config.method == "ours":
                 metrics |= learner.train_triangular(recent)  # 10-17: eq. 3, 4b
             metrics |= learner.train_policy()  # 18-21
-            learner.buffer.extend(recent)  # 22
+            learner.extend_buffer(recent)  # 22
             if run.finish_iteration(iteration, metrics):
                 break
     finally:

@@ -2,6 +2,7 @@
 
 import copy
 
+import numpy as np
 import pytest
 import torch
 
@@ -10,9 +11,10 @@ from napsp.backprop import Backprop, adam, flatten
 from napsp.config import preset
 from napsp.ddpg import DDPG
 from napsp.losses import squared_error
-from napsp.networks import mlp
+from napsp.networks import Policy, mlp, rescale
 from napsp.regression import DistanceRegression
 from napsp.sac import SAC, squash
+from napsp.scaling import Scaling
 
 SIZES = (5, 2, 3)
 
@@ -145,3 +147,22 @@ def test_ddpg_gradients_equal_autograd():
     loss = -agent.critic(rows.observations, actions, rows.goals).mean() + 0.7 * actions.square().mean()
     torch.testing.assert_close(written(agent.policy), gradients(loss, policy), atol=1e-6, rtol=1e-3)
     assert not torch.equal(agent.target_policy.net[0].weight, policy.net[0].weight)
+
+
+def test_rescaling_inputs_keeps_every_function():
+    torch.manual_seed(0)
+    rng = np.random.default_rng(0)
+    first, second = (
+        Scaling.estimate(shift + spread * rng.standard_normal((99, 5)), shift + spread * rng.standard_normal((99, 3)))
+        for shift, spread in ((1.0, 2.0), (-0.5, 5.0))
+    )
+    rows = batch()
+    for agent in (SAC(SIZES, config()), DDPG(SIZES, config(agent="ddpg"))):
+        for network in (*agent.networks().values(), DistanceRegression(SIZES, config()).distance):
+            inputs = (rows.observations, rows.goals)
+            inputs = inputs if isinstance(network, Policy) else (inputs[0], rows.actions, inputs[1])
+            network.scaling.set(first)
+            before = network(*inputs).detach()
+            rescale(network, second)
+            torch.testing.assert_close(network(*inputs).detach(), before, atol=1e-5, rtol=1e-4)
+            np.testing.assert_array_equal(network.scaling.numbers().goal_mean, second.goal_mean)

@@ -82,7 +82,7 @@ def test_counts_equal_a_dictionary():
 
 def test_reached_counts_each_later_pair_once():
     episodes = chain_episodes(1, horizon=4)
-    scaling = Scaling(episodes.observations, episodes.achieved_goals)
+    scaling = Scaling.estimate(episodes.observations, episodes.achieved_goals)
     counts = CountModel((1, 1, 1), 62, 62, scaling, np.random.default_rng(0))
     counts.update(episodes)
     counts.update(episodes)
@@ -125,7 +125,7 @@ def test_temporal_regression_recovers_a_chain():
     torch.manual_seed(0)
     episodes, rng = chain_episodes(1, horizon=8), np.random.default_rng(0)
     regression = DistanceRegression((1, 1, 1), preset("point_maze", hidden=(64, 64), distance_learning_rate=1e-2))
-    regression.distance.scaling.set(Scaling(episodes.observations, episodes.achieved_goals))
+    regression.distance.scaling.set(Scaling.estimate(episodes.observations, episodes.achieved_goals))
     for _ in range(400):
         pairs = sample_pairs(episodes, 64, rng)
         inputs = regression.inputs(pairs.observations, pairs.actions, pairs.goals)
@@ -200,5 +200,5 @@ def test_distance_is_clipped_to_the_episode():
 
 def test_constant_inputs_are_left_alone_by_the_scaling():
     rows = np.array([[1.0, 5.0], [2.0, 5.0 + 1e-7]], np.float32)
-    scaled = Scaling(rows, rows).observation(rows)
+    scaled = Scaling.estimate(rows, rows).observation(rows)
     assert np.abs(scaled[:, 1]).max() < 1e-3 and np.abs(scaled[:, 0]).max() == pytest.approx(1.0)

@@ -67,10 +67,11 @@ def test_same_seed_same_run(tmp_path):
     assert learned(train(tiny(seed=4), tmp_path / "c")) != learned(first)
 
 
-def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
-    whole = train(tiny(), tmp_path / "whole")
-    train(tiny(n_episodes=8), tmp_path / "parts")
-    resumed = train(tiny(), tmp_path / "parts")
+@pytest.mark.parametrize("changes", [{}, {"agent": "ddpg", "rescale": True}])
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
+    whole = train(tiny(**changes), tmp_path / "whole")
+    train(tiny(**changes, n_episodes=8), tmp_path / "parts")
+    resumed = train(tiny(**changes), tmp_path / "parts")
     assert learned(resumed) == learned(whole)
     first, second = (read_tensors(tmp_path / name / STATE_FILE, "training state")[0] for name in ("whole", "parts"))
     assert first.keys() == second.keys()
@@ -101,6 +102,16 @@ def test_killed_at_a_random_moment_it_continues(tmp_path):
     with open(tmp_path / "run" / "metrics.csv", newline="") as file:
         episodes = [float(row["episodes"]) for row in csv.DictReader(file)]
     assert episodes == sorted(set(episodes)), "a resumed run must not repeat rows"
+
+
+def test_rescaling_counts_everything_again(tmp_path):
+    train(tiny(rescale=True), tmp_path / "often")
+    train(tiny(), tmp_path / "once")
+    (often, header), (once, _) = (read_tensors(tmp_path / n / STATE_FILE, "training state") for n in ("often", "once"))
+    assert header["scaled_at"] == 16
+    for table in ("visits", "reached"):
+        assert often[f"{table}.counts"].sum() == once[f"{table}.counts"].sum()
+    assert not torch.equal(often["policy.scaling.goal_scale"], once["policy.scaling.goal_scale"])
 
 
 def test_interrupt_saves_and_the_same_command_goes_on(tmp_path, capsys):
@@ -136,6 +147,7 @@ def test_command_line_defaults_follow_the_task():
 def test_bad_settings_name_the_fix():
     for changes, words in (
         ({"method": "magic"}, "choose one of: sparse, ddl, offpolicy_ddl, ours"),
+        ({"agent": "td3"}, "choose one of: sac, ddpg"),
         ({"batch_size": 0}, "batch_size is 0; it must lie between 1"),
         ({"uncertainty_scale": 0.0}, "uncertainty_scale is 0.0"),
         ({"visit_bits": 99}, "between 1 and 62"),
