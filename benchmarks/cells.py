@@ -3,29 +3,87 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import io
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from napsp.checkpoint import write_atomically
+from napsp.checkpoint import write_atomically, write_json
 from napsp.config import TrainConfig
+from napsp.progress import read_rows
 from napsp.record import RECORD_FILE
 from napsp.train import train
 
 RESULTS = Path("results")
 RUNS = Path("runs") / "benchmarks"
+ROWS = RESULTS / "runs"  # one small file per trained cell: no two processes write the same one
 
 
-def trained(config: TrainConfig) -> Path:
-    """Folder of the finished run of a configuration; trains it, or finishes it, when needed."""
-    folder = RUNS / f"{config.env}-{config.method}-s{config.seed}-{config.hash()}"
-    if not (folder / RECORD_FILE).is_file():
-        print(f"training {folder}")
-        train(config, folder)
-    if not (folder / RECORD_FILE).is_file():
-        raise KeyboardInterrupt  # an interrupted run is not a result
+class BusyError(Exception):
+    """Another process works on this cell."""
+
+
+def cell_name(config: TrainConfig) -> str:
+    """Name of a cell: equal configurations share it."""
+    return f"{config.env}-{config.method}-s{config.seed}-{config.hash()}"
+
+
+@contextmanager
+def exclusive(folder: Path, wait: bool) -> Iterator[None]:
+    """Hold a cell; the system lets go of it even if the process is killed.
+
+    Raises:
+        BusyError: another process holds it and ``wait`` is false.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with open(folder.with_name(f".{folder.name}.lock"), "w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            raise BusyError from None
+        yield
+
+
+def trained(config: TrainConfig, wait: bool = True) -> Path:
+    """Folder of the finished run of a configuration; trains it, or finishes it, when needed.
+
+    Its curve lands in ``results/runs``.
+
+    Raises:
+        BusyError: another process trains it and ``wait`` is false.
+    """
+    folder = RUNS / cell_name(config)
+    with exclusive(folder, wait):
+        if not (folder / RECORD_FILE).is_file():
+            print(f"training {folder}", flush=True)
+            train(config, folder)
+        if not (folder / RECORD_FILE).is_file():
+            raise KeyboardInterrupt  # an interrupted run is not a result
+        publish(folder)
     return folder
+
+
+def publish(folder: Path) -> None:
+    """Copy what describes a finished run, and its learning curve, to ``results/runs``."""
+    path = ROWS / f"{folder.name}.json"
+    if not path.is_file():
+        record = json.loads((folder / RECORD_FILE).read_text())
+        columns = {"episodes", "success_rate", "any_success_rate", "max_reward", "mean_distance", "distance_at_goal",
+                   "merging_rate", "relaxation_rate", "seconds"}  # fmt: skip
+        curve = [{k: round(v, 4) for k, v in row.items() if k in columns}
+                 for row in read_rows(folder / "metrics.csv", float("inf"))]  # fmt: skip
+        kept = {k: record[k] for k in ("command", "revision", "seed", "config_hash", "config", "minutes", "versions")}
+        write_json(path, {**kept, "curve": curve})
+
+
+def learning_curves(env: str | None = None) -> list[dict[str, Any]]:
+    """All published runs (of a task): command, configuration, and ``curve`` of evaluations."""
+    paths = sorted(ROWS.glob(f"{env or ''}*.json"))
+    runs = [json.loads(path.read_text()) for path in paths]
+    return [run for run in runs if env in (None, run["config"]["env"])]
 
 
 def read_results(path: Path) -> list[dict[str, str]]:

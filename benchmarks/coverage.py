@@ -13,10 +13,10 @@ import numpy as np
 import tyro
 
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from benchmarks.value_maps import draw_walls
 from napsp import envs as tasks
 from napsp.checkpoint import read_tensors
 from napsp.config import METHODS, preset
-from napsp.envs.point_maze import INNER_WALLS, OUTER_WALLS
 from napsp.errors import UserError, run_command
 from napsp.progress import read_rows
 from napsp.record import save_figure
@@ -53,20 +53,16 @@ def draw(path: Path, panels: dict[str, np.ndarray], scale: float, captions: dict
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
-    from matplotlib.patches import Rectangle
 
     figure, axes = plt.subplots(1, len(panels), figsize=(3.2 * len(panels), 3.6), layout="constrained")
     for axis, (method, positions) in zip(np.atleast_1d(axes), panels.items(), strict=True):
         points = positions[:, ::2].reshape(-1, 2)
         order = np.repeat(np.arange(len(positions)), positions[:, ::2].shape[1])
         dots = axis.scatter(*points.T, c=order, s=0.4, cmap="viridis", rasterized=True)
-        for x, y, half_x, half_y in INNER_WALLS + OUTER_WALLS:
-            corner = (x - half_x - 0.015) * scale, (y - half_y - 0.015) * scale
-            axis.add_patch(Rectangle(corner, 2 * (half_x + 0.015) * scale, 2 * (half_y + 0.015) * scale, color="black"))
         axis.text(-0.5 * scale, -0.5 * scale, "start", ha="center", color="red")
         axis.text(0.5 * scale, 0.5 * scale, "goals", ha="center", color="red")
-        axis.set(title=f"{method}\n{captions[method]}", xticks=[], yticks=[], aspect="equal")
-        axis.set(xlim=(-1.05 * scale, 1.05 * scale), ylim=(-1.05 * scale, 1.05 * scale))
+        axis.set_title(f"{method}\n{captions[method]}")
+        draw_walls(axis, scale)
     figure.colorbar(dots, ax=axes, label="training episode", shrink=0.7)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)

@@ -7,10 +7,12 @@ from collections import defaultdict
 from pathlib import Path
 
 from benchmarks.cells import RESULTS, read_results
+from benchmarks.curves import current_runs
+from benchmarks.sweep import PAPER_TASKS
 from napsp.checkpoint import write_atomically
 from napsp.config import METHODS, preset
 from napsp.errors import run_command
-from napsp.statistics import describe, wilson_interval
+from napsp.statistics import describe, interquartile_mean, wilson_interval
 
 README = Path("README.md")
 START, END = "<!-- results:start -->", "<!-- results:end -->"
@@ -71,20 +73,38 @@ def training_table() -> list[str]:
 
 
 def learning_table() -> list[str]:
-    """Episodes to success for every training seed."""
+    """Final evaluation of every cell of the paper's comparison, over training seeds."""
     lines = [
-        "### Learning (`python -m benchmarks.learning --env NAME`)",
+        "### The paper's comparison (`python -m benchmarks.sweep`, `python -m benchmarks.curves`)",
         "",
-        "| task | method | seed | success 1.0 first at episode | last success | last any-step success | best any-step |",
-        "|---|---|---|---|---|---|---|",
+        "![Learning curves of all tasks and methods](results/figure3.png)",
+        "",
+        "Last evaluation of each training run, on goals that all methods and seeds share; interquartile mean over seeds with its",
+        "95 % bootstrap interval (three seeds or more). *Success* is being at the goal in the last step, *maximum reward* the least",
+        "distance to the goal in an episode, negated.",
+        "",
+        "| task | method | seeds | episodes | success | some-step success | maximum reward [m] | success 1.0 first at episode |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    for row in _current("learning.csv"):
-        lines.append(
-            f"| {row['env']} | {row['method']} | {row['seed']} | {row['first_full_success'] or 'never'} "
-            f"| {float(row['success_rate']):.2f} | {float(row['any_success_rate']):.2f} "
-            f"| {float(row['best_any_success_rate']):.2f} |"
-        )
+    for env in PAPER_TASKS:
+        runs = current_runs(env)
+        for method in METHODS:
+            cells = ["not run", *[""] * 5]
+            if runs.get(method):
+                last = [run["curve"][-1] for run in runs[method]]
+                summaries = [
+                    describe(*interquartile_mean([row[k] for row in last]))
+                    for k in ("success_rate", "any_success_rate", "max_reward")
+                ]
+                first = [_first_full(run["curve"]) for run in runs[method]]
+                cells = [str(len(last)), f"{last[0]['episodes']:.0f}", *summaries, ", ".join(first)]
+            lines.append(f"| {env} | {method} | {' | '.join(cells)} |")
     return lines
+
+
+def _first_full(curve: list[dict[str, float]]) -> str:
+    full = [row["episodes"] for row in curve if row["success_rate"] == 1.0]
+    return f"{full[0]:.0f}" if full else "never"
 
 
 def accuracy_table() -> list[str]:

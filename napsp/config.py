@@ -151,9 +151,13 @@ class TrainConfig:
         return json.loads(json.dumps(dataclasses.asdict(self)))
 
     def hash(self) -> str:
-        """Short hash of everything but the seed: equal hashes ask the same question."""
-        fields = {k: v for k, v in self.to_dict().items() if k != "seed"}
-        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()[:10]
+        """Short hash of everything but the seed: equal hashes ask the same question.
+
+        Options at their defaults do not enter, so that adding one leaves old hashes valid.
+        """
+        defaults = {field.name: field.default for field in dataclasses.fields(self)}
+        asked = {k: v for k, v in dataclasses.asdict(self).items() if k != "seed" and v != defaults[k]}
+        return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
 
 
 MANY, TINY = 10**9, 1e-12

@@ -146,6 +146,7 @@ class Run:
             "success_rate": result.success_rate,
             "any_success_rate": result.any_success_rate,
             "mean_gap": float(result.gaps[:, -1].mean()),
+            "max_reward": float(-result.gaps.min(1).mean()),  # the paper's: least distance to the goal, negated
         }
         at_goal = result.reached[:, -1]
         if config.learns_distance and at_goal.any():

@@ -1,0 +1,106 @@
+"""Figures 3 and 5 from published runs: ``python -m benchmarks.curves``.
+
+Figure 3: success and maximum reward over training episodes, all tasks, four methods. Figure 5:
+maximum reward, merging and relaxation rates on pick and place. Lines are interquartile means
+over seeds, bands their 95 % bootstrap intervals. Nothing is trained: ``benchmarks.sweep`` does
+that; cells without a run are said to be missing.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.cells import RESULTS, learning_curves
+from benchmarks.sweep import PAPER_TASKS
+from napsp.config import METHODS, preset
+from napsp.errors import run_command
+from napsp.record import save_figure
+from napsp.statistics import interquartile_mean
+
+COLORS = dict(zip(METHODS, ("tab:gray", "tab:orange", "tab:blue", "tab:red"), strict=True))
+TITLES = {
+    "success_rate": "success (last step)",
+    "any_success_rate": "success (some step)",
+    "max_reward": "maximum reward [m]",
+    "merging_rate": "merging rate",
+    "relaxation_rate": "relaxation rate",
+}
+
+
+def current_runs(env: str) -> dict[str, list[dict[str, Any]]]:
+    """Published runs of a task by method; only those of today's presets."""
+    runs: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for run in learning_curves(env):
+        method = run["config"]["method"]
+        if run["config_hash"] == preset(env, method=method).hash():
+            runs[method].append(run)
+    return runs
+
+
+def over_seeds(runs: list[dict[str, Any]], column: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Episodes ``(n,)``, interquartile means ``(n,)`` and interval ends ``(2, n)`` (NaN with too few seeds)."""
+    values: dict[float, list[float]] = defaultdict(list)
+    for run in runs:
+        for row in run["curve"]:
+            if column in row:
+                values[row["episodes"]].append(row[column])
+    episodes = sorted(e for e, v in values.items() if len(v) == len(runs))
+    summaries = [interquartile_mean(values[e]) for e in episodes]
+    ends = [interval or (np.nan, np.nan) for _, interval in summaries]
+    return np.array(episodes), np.array([mean for mean, _ in summaries]), np.array(ends).reshape(-1, 2).T
+
+
+def draw(axis: Any, runs: dict[str, list[dict[str, Any]]], column: str) -> None:
+    """One panel: every method's curve."""
+    for method in METHODS:
+        if runs.get(method):
+            episodes, means, ends = over_seeds(runs[method], column)
+            if len(episodes):
+                label = f"{method} ({len(runs[method])})"
+                axis.plot(episodes, means, color=COLORS[method], label=label, linewidth=1.2)
+                axis.fill_between(episodes, *ends, color=COLORS[method], alpha=0.15, linewidth=0)
+    axis.set(xlabel="episodes", ylabel=TITLES[column])
+    if axis.lines:
+        axis.legend(fontsize=6, title="method (seeds)", title_fontsize=6)
+    else:
+        axis.text(0.5, 0.5, "not run", ha="center", transform=axis.transAxes)
+
+
+def grid(panels: list[tuple[str, str]], n_columns: int, path: Path) -> None:
+    """Draw (task, column) panels into one picture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    n_rows = -(-len(panels) // n_columns)
+    figure, axes = plt.subplots(n_rows, n_columns, figsize=(3.1 * n_columns, 2.5 * n_rows), layout="constrained")
+    for axis, (env, column) in zip(np.ravel(axes), panels, strict=True):
+        draw(axis, current_runs(env), column)
+        axis.set_title(env, fontsize=9)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(figure, path)
+    print(f"picture: {path}")
+
+
+def main() -> int:
+    """Draw both figures; name the cells that were not run."""
+    for env in PAPER_TASKS:
+        missing = [method for method in METHODS if not current_runs(env).get(method)]
+        if missing:
+            print(f"{env}: not run: {', '.join(missing)}")
+    columns = ("success_rate", "max_reward")
+    grid([(env, column) for column in columns for env in PAPER_TASKS], len(PAPER_TASKS), RESULTS / "figure3.png")
+    rates = ("max_reward", "merging_rate", "relaxation_rate")
+    grid([("fetch_pick_place", column) for column in rates], 3, RESULTS / "figure5.png")
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)
+    sys.exit(0)

@@ -1,0 +1,108 @@
+"""All cells of the paper's comparison: ``python -m benchmarks.sweep --jobs 2``.
+
+A cell is one task, method and seed. Finished cells (same configuration) are skipped, a killed
+one is resumed, and any number of processes - started by ``--jobs``, by hand, or by Ray on
+several machines with a shared folder - work on the same list without meeting.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+import tyro
+
+from benchmarks.cells import BusyError, cell_name, trained
+from napsp import envs as tasks
+from napsp.config import METHODS, TrainConfig, preset
+from napsp.errors import UserError, run_command
+
+PAPER_TASKS = ("point_maze", "fetch_reach", "fetch_wall", "fetch_pick_place", "fetch_pick_place_wall", "claw")
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """Train every cell of envs x methods x seeds that is not done yet."""
+
+    envs: tuple[str, ...] = PAPER_TASKS
+    """Tasks."""
+    methods: tuple[str, ...] = METHODS
+    """Methods."""
+    seeds: int = 3
+    """Training seeds 0 .. seeds - 1."""
+    jobs: int = 1
+    """Processes on this machine; one single-threaded process per core is fastest."""
+    backend: Literal["local", "ray"] = "local"
+    """local: processes on this machine. ray: tasks of a Ray cluster whose machines share this
+    folder (pip install 'napsp[ray]')."""
+
+
+def cells(options: SweepOptions) -> Iterator[TrainConfig]:
+    """Configurations, all tasks and methods of a seed before the next seed."""
+    for seed in range(options.seeds):
+        for env in options.envs:
+            for method in options.methods:
+                yield preset(tasks.canonical_name(env), method=method, seed=seed)
+
+
+def work(options: SweepOptions) -> None:
+    """Train cell after cell, leaving out those that others work on."""
+    for config in cells(options):
+        try:
+            trained(config, wait=False)
+        except BusyError:
+            print(f"{cell_name(config)}: in work elsewhere", flush=True)
+
+
+def work_in_processes(options: SweepOptions, arguments: list[str]) -> int:
+    """Run this command in several processes and wait for all of them."""
+    command = [sys.executable, "-m", "benchmarks.sweep", *arguments, "--jobs", "1"]
+    workers = [subprocess.Popen(command) for _ in range(options.jobs)]
+    try:
+        return max(worker.wait() for worker in workers)
+    except KeyboardInterrupt:  # the workers got Ctrl-C too: let them save
+        return max(worker.wait() for worker in workers)
+
+
+def work_on_ray(options: SweepOptions) -> None:
+    """One Ray task with one core per cell."""
+    try:
+        import ray  # type: ignore[import-not-found]
+    except ImportError:
+        raise UserError("Ray is not installed; run: pip install 'napsp[ray]'") from None
+
+    def task(config: TrainConfig) -> None:
+        torch.set_num_threads(1)
+        trained(config)
+
+    ray.init(ignore_reinit_error=True)
+    remote = ray.remote(num_cpus=1)(task)
+    ray.get([remote.remote(config) for config in cells(options)])
+
+
+def main() -> int:
+    """Run the sweep."""
+    options = tyro.cli(SweepOptions, prog="python -m benchmarks.sweep")
+    if options.seeds < 1 or options.jobs < 1:
+        raise UserError("--seeds and --jobs must be at least 1")
+    unknown = set(options.methods) - set(METHODS)
+    if unknown:
+        raise UserError(f"unknown method {unknown.pop()!r}; choose from: {', '.join(METHODS)}")
+    list(cells(options))  # unknown tasks fail before any work
+    torch.set_num_threads(1)
+    if options.backend == "ray":
+        work_on_ray(options)
+    elif options.jobs > 1:
+        return work_in_processes(options, sys.argv[1:])
+    else:
+        work(options)
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)
+    sys.exit(0)

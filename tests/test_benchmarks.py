@@ -1,0 +1,81 @@
+"""The sweep: cells are skipped, shared and published; figures come from published rows only."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from test_train import tiny
+
+from benchmarks import cells, curves, sweep
+from napsp.statistics import describe, interquartile_mean
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for module in (sweep, curves):
+        monkeypatch.setattr(module, "preset", lambda env, **changes: tiny(env, **changes))
+    return tmp_path
+
+
+OPTIONS = sweep.SweepOptions(envs=("point_maze",), methods=("sparse", "ours"), seeds=2)
+
+
+def test_sweep_trains_every_cell_once_and_publishes_it(workplace, monkeypatch):
+    sweep.work(OPTIONS)
+    files = sorted(path.name for path in cells.ROWS.glob("*.json"))
+    assert [name.rsplit("-", 1)[0] for name in files] == [
+        f"point_maze-{method}-s{seed}" for method in ("ours", "sparse") for seed in (0, 1)
+    ]
+    run = json.loads((cells.ROWS / files[0]).read_text())
+    assert run["config"]["method"] == "ours" and [row["episodes"] for row in run["curve"]] == [8, 12, 16]
+    assert {"success_rate", "max_reward", "merging_rate"} <= run["curve"][0].keys() and run["curve"][0][
+        "max_reward"
+    ] < 0
+
+    monkeypatch.setattr(cells, "train", lambda *_: pytest.fail("a finished cell was trained again"))
+    sweep.work(OPTIONS)
+    runs = curves.current_runs("point_maze")
+    assert {method: len(found) for method, found in runs.items()} == {"ours": 2, "sparse": 2}
+    episodes, means, _ = curves.over_seeds(runs["ours"], "max_reward")
+    expected = np.mean([run["curve"][0]["max_reward"] for run in runs["ours"]])
+    assert list(episodes) == [8, 12, 16] and means[0] == pytest.approx(expected)
+    assert curves.main() == 0
+    assert (cells.RESULTS / "figure3.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_cell_in_work_elsewhere_is_left_out(workplace, capsys):
+    first, second = (config for config in sweep.cells(OPTIONS) if config.seed == 0)
+    script = (
+        "import sys, time, pathlib; from benchmarks.cells import exclusive\n"
+        f"with exclusive(pathlib.Path({str(cells.RUNS / cells.cell_name(first))!r}), False):\n"
+        "    print('held', flush=True); time.sleep(60)"
+    )
+    holder = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    try:
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(cells.BusyError):
+            cells.trained(first, wait=False)
+        sweep.work(sweep.SweepOptions(envs=("point_maze",), methods=("sparse", "ours"), seeds=1))
+        assert "in work elsewhere" in capsys.readouterr().out
+        assert not (cells.ROWS / f"{cells.cell_name(first)}.json").exists()
+        assert (cells.ROWS / f"{cells.cell_name(second)}.json").exists()
+    finally:
+        holder.kill()
+        holder.wait()
+    assert cells.trained(first, wait=False).is_dir(), "a killed process lets go of its cell"
+
+
+def test_interquartile_mean_and_its_interval():
+    mean, interval = interquartile_mean([0.0, 0.5, 0.6, 0.7, 1.0, 0.6, 0.6, 0.6])
+    assert mean == pytest.approx(0.6) and interval[0] <= 0.6 <= interval[1]
+    assert interquartile_mean([1.0, 1.0, 1.0]) == (1.0, (1.0, 1.0))
+    assert interquartile_mean([0.2, 0.4])[1] is None and describe(0.3, None) == "0.30"
+    rng = np.random.default_rng(0)
+    covered = 0
+    for _ in range(60):
+        low, high = interquartile_mean(rng.normal(0.5, 0.1, 10))[1]
+        covered += low <= 0.5 <= high
+    assert covered >= 50, "about 95 % of intervals hold the truth (bootstraps of ten run a little short)"
