@@ -16,7 +16,7 @@ from napsp.statistics import describe, interquartile_mean
 def workplace(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for module in (sweep, curves):
-        monkeypatch.setattr(module, "preset", lambda env, **changes: tiny(env, **changes))
+        monkeypatch.setattr(module, "preset", tiny)
     return tmp_path
 
 
@@ -64,7 +64,7 @@ def test_a_cell_in_work_elsewhere_is_left_out(workplace, capsys):
         assert (cells.ROWS / f"{cells.cell_name(second)}.json").exists()
     finally:
         holder.kill()
-        holder.wait()
+        holder.communicate()
     assert cells.trained(first, wait=False).is_dir(), "a killed process lets go of its cell"
 
 
