@@ -216,6 +216,11 @@ class FetchReachEnv(MujocoFetchReachEnv):
         offset = np.asarray(achieved_goal) - np.asarray(desired_goal)
         return np.linalg.norm(offset, axis=-1) < self.distance_threshold
 
+    @property
+    def goal_radius(self) -> float:
+        """Radius of the goal in the world, metres, for pictures."""
+        return self.distance_threshold
+
     def goal_positions(self, goals: np.ndarray) -> np.ndarray:
         """Where goals ``(..., 3)`` lie in the world, for pictures."""
         return goals
