@@ -23,7 +23,7 @@ class TrainConfig:
     """Options of Algorithm 1. Lengths are in control steps, distances in steps."""
 
     env: str = "fetch_wall"
-    """Task: point_maze, point_maze_long, fetch_reach or fetch_wall."""
+    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall or claw."""
     method: str = "ours"
     """sparse: binary reward. ddl: on-policy temporal regression. offpolicy_ddl: eq. 4a.
     ours: eq. 4a and 4b (the paper)."""
@@ -192,6 +192,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "policy_learning_rate": 3e-4,
     },
     "fetch_wall": {"n_episodes": 500},
+    "claw": {"n_episodes": 3000},
 }
 
 

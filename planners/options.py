@@ -26,13 +26,14 @@ class PlanOptions:
     """Plan with MuJoCo rollouts, step after step, and report how it went."""
 
     env: str = "fetch_wall"
-    """Task: point_maze, point_maze_long, fetch_reach or fetch_wall (= fetch_reach_wall)."""
+    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall (= fetch_reach_wall) or claw."""
     episodes: int = 10
     """Episodes to run, on the seeds seed, seed + 1, ..."""
     seed: int = 0
     """Seed of tasks and of planning."""
     goal: tuple[float, ...] | None = None
-    """One fixed goal for all episodes instead of the task's random ones, in metres."""
+    """One fixed goal for all episodes instead of the task's random ones, in metres
+    (claw: sine and cosine of the valve's angle)."""
     cost: CostName = "distance"
     """Steps to go at a state: the learned distance, straight-line distance at full speed,
     or nothing (sparse: only reaching the goal within the horizon counts)."""
@@ -43,7 +44,7 @@ class PlanOptions:
     samples: int = 64
     """Plans per refinement."""
     horizon: int | None = None
-    """Control steps per plan; default by task (5 for Fetch, 16 for the mazes)."""
+    """Control steps per plan; default by task (5 for Fetch, 10 for the claw, 16 for the mazes)."""
     knots: int | None = None
     """Spline knots per plan; default one per control step."""
     interpolation: Literal["zero", "linear", "cubic"] = "linear"
@@ -85,4 +86,4 @@ class MPPIOptions(PlanOptions):
 
 
 OPTIONS: dict[str, type[PlanOptions]] = {"mppi": MPPIOptions}
-HORIZONS = {"point_maze": 16, "point_maze_long": 16, "fetch_reach": 5, "fetch_wall": 5}
+HORIZONS = {"point_maze": 16, "point_maze_long": 16, "fetch_reach": 5, "fetch_wall": 5, "claw": 10}

@@ -19,6 +19,7 @@ TASKS: dict[str, tuple[str, str, dict, int]] = {
     "point_maze_long": ("napsp/PointMazeLong-v0", "napsp.envs.point_maze:PointMazeEnv", {"scale": 4.0}, 200),
     "fetch_reach": ("napsp/FetchReach-v0", "napsp.envs.fetch:FetchReachEnv", {}, 50),
     "fetch_wall": ("napsp/FetchReachWall-v0", "napsp.envs.fetch:FetchReachWallEnv", {}, 50),
+    "claw": ("napsp/Claw-v0", "napsp.envs.claw:ClawEnv", {}, 40),
 }
 ALIASES = {"fetch_reach_wall": "fetch_wall"}
 
