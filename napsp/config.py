@@ -24,7 +24,7 @@ class TrainConfig:
     """Options of Algorithm 1. Lengths are in control steps, distances in steps."""
 
     env: str = "fetch_wall"
-    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall, fetch_pick_place or fetch_pick_place_wall."""
+    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall, fetch_pick_place, fetch_pick_place_wall or claw."""
     method: str = "ours"
     """sparse: binary reward. ddl: on-policy temporal regression. offpolicy_ddl: eq. 4a.
     ours: eq. 4a and 4b (the paper)."""
@@ -224,6 +224,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "fetch_pick_place_wall": PICK_PLACE,
     "fetch_pick_place_plain": PICK_PLACE,
     "fetch_pick_place_wall_plain": PICK_PLACE,
+    "claw": {"n_episodes": 3000},
 }
 
 

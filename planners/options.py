@@ -27,13 +27,14 @@ class PlanOptions:
 
     env: str = "fetch_wall"
     """Task: point_maze, point_maze_long, fetch_reach, fetch_wall (= fetch_reach_wall),
-    fetch_pick_place or fetch_pick_place_wall."""
+    fetch_pick_place, fetch_pick_place_wall or claw."""
     episodes: int = 10
     """Episodes to run, on the seeds seed, seed + 1, ..."""
     seed: int = 0
     """Seed of tasks and of planning."""
     goal: tuple[float, ...] | None = None
-    """One fixed goal for all episodes instead of the task's random ones, in metres."""
+    """One fixed goal for all episodes instead of the task's random ones, in metres
+    (claw: sine and cosine of the valve's angle)."""
     cost: CostName = "distance"
     """Steps to go at a state: the learned distance, straight-line distance at full speed,
     or nothing (sparse: only reaching the goal within the horizon counts)."""
@@ -44,7 +45,8 @@ class PlanOptions:
     samples: int = 64
     """Plans per refinement."""
     horizon: int | None = None
-    """Control steps per plan; default by task (5 for reaching, 15 for pick and place, 16 for the mazes)."""
+    """Control steps per plan; default by task (5 for reaching, 15 for pick and place, 10 for the claw,
+    16 for the mazes)."""
     knots: int | None = None
     """Spline knots per plan; default one per control step."""
     interpolation: Literal["zero", "linear", "cubic"] = "linear"
@@ -91,4 +93,5 @@ HORIZONS = {
     **dict.fromkeys(("fetch_reach", "fetch_wall"), 5),
     **dict.fromkeys(("fetch_pick_place", "fetch_pick_place_wall"), 15),
     **dict.fromkeys(("fetch_pick_place_plain", "fetch_pick_place_wall_plain"), 15),
+    "claw": 10,
 }

@@ -126,7 +126,7 @@ def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResul
         right.plot(steps, result.gaps, color=color, alpha=0.5, linewidth=1)
     left.set(xlabel="control step", ylabel="steps to go", title=f"cost: {session.options.cost}")
     right.set(xlabel="control step", ylabel="gap to the goal [m]", title="blue: success, red: failure")
-    right.axhline(session.env.unwrapped.distance_threshold, color="black", linestyle=":", linewidth=1)
+    right.axhline(session.env.unwrapped.goal_radius, color="black", linestyle=":", linewidth=1)
     for axis in (left, right):
         axis.set_ylim(bottom=0)
     figure.suptitle(f"{session.env_name}, {session.planner}, {len(results)} episodes")

@@ -32,7 +32,7 @@ class EpisodeResult:
         seed: seed of start and goal.
         success: at the goal in the last step.
         first_hit: control steps until the goal was first reached; None if never.
-        final_gap: straight-line gap to the goal at the end, metres.
+        final_gap: straight-line gap to the goal at the end, metres in the world.
         to_go: the cost's estimate of steps to go at each state, ``(T,)``.
         gaps: straight-line gap at each state, metres, ``(T,)``.
         plan_ms: milliseconds of each plan call, ``(T,)``.
@@ -116,7 +116,8 @@ class Session:
             success = bool(info["is_success"])
             first_hit = step + 1 if success and first_hit is None else first_hit
             to_go.append(self._to_go(observation, plan))
-            gaps.append(float(np.linalg.norm(observation["achieved_goal"] - goal)))
+            offset = world.goal_positions(observation["achieved_goal"]) - world.goal_positions(goal)
+            gaps.append(float(np.linalg.norm(offset)))
         self._last_observation = observation
         seconds = time.monotonic() - started
         return EpisodeResult(seed, success, first_hit, gaps[-1], to_go, gaps, plan_ms, seconds)
@@ -178,7 +179,7 @@ def make_planner(name: str, options: Any, n_knots: int, n_controls: int) -> Plan
 def _check_goal(goal: tuple[float, ...] | None, env: Any) -> None:
     size = env.observation_space["desired_goal"].shape[0]
     if goal is not None and (len(goal) != size or not np.isfinite(goal).all()):
-        raise UserError(f"--goal {' '.join(map(str, goal))} does not fit; give {size} finite numbers (metres)")
+        raise UserError(f"--goal {' '.join(map(str, goal))} does not fit; give {size} finite numbers")
 
 
 def _steps_to_go(options: PlanOptions, model: Model | None, world: Any) -> StepsToGo:

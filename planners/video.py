@@ -48,8 +48,8 @@ class Video:
             self._model.geom_rgba[wall, 3] = 0.35  # the goal lies behind it
 
     def _make_camera(self) -> Any:
-        if mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, "top") >= 0:
-            return "top"
+        if hasattr(self._world, "camera"):
+            return self._world.camera
         camera = mujoco.MjvCamera()
         camera.lookat[:] = (1.25, 0.78, 0.5)
         camera.distance, camera.azimuth, camera.elevation = 1.6, 150.0, -32.0
@@ -65,7 +65,7 @@ class Video:
         mujoco.mj_setState(self._model, self._data, values, state)
         mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
-        radius = self._world.distance_threshold
+        radius = self._world.goal_radius
         self._sphere(self._world.goal_positions(goal), 0.35 * radius, GOAL_COLOR)
         self._sphere(self._world.goal_positions(goal), radius, (*GOAL_COLOR[:3], 0.15))
         self._draw_plans(plan)

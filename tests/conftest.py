@@ -14,7 +14,15 @@ torch.set_num_threads(1)
 
 from napsp import envs
 
-TASKS = ("point_maze", "point_maze_long", "fetch_reach", "fetch_wall", "fetch_pick_place", "fetch_pick_place_wall")
+TASKS = (
+    "point_maze",
+    "point_maze_long",
+    "fetch_reach",
+    "fetch_wall",
+    "fetch_pick_place",
+    "fetch_pick_place_wall",
+    "claw",
+)
 
 
 @pytest.fixture(scope="session")

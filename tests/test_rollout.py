@@ -118,7 +118,7 @@ def test_missing_warm_start_is_noticed_in_the_maze(worlds):
     assert worst > 0.0
 
 
-@pytest.mark.parametrize("name", ["point_maze", "fetch_wall"])
+@pytest.mark.parametrize("name", ["point_maze", "fetch_wall", "claw"])
 def test_results_do_not_depend_on_threads(name, worlds):
     world = worlds[name]
     world.reset(seed=0)

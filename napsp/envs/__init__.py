@@ -26,7 +26,8 @@ TASKS: dict[str, tuple[str, str, dict, int]] = {
         {},
         50,
     ),
-    # The same with the box's position alone as the goal, as in stock Fetch.
+    "claw": ("napsp/Claw-v0", "napsp.envs.claw:ClawEnv", {}, 40),
+    # Pick and place with the box's position alone as the goal, as in stock Fetch.
     "fetch_pick_place_plain": (
         "napsp/FetchPickPlacePlain-v0",
         "napsp.envs.fetch_pick_place:FetchPickPlaceEnv",

@@ -188,6 +188,11 @@ class ThinFetch:
         offset = np.asarray(achieved_goal) - np.asarray(desired_goal)
         return np.linalg.norm(offset, axis=-1) < self.distance_threshold
 
+    @property
+    def goal_radius(self) -> float:
+        """Radius of the goal region in the world [m], for pictures."""
+        return self.distance_threshold
+
     def goal_positions(self, goals: np.ndarray) -> np.ndarray:
         """Where goals ``(..., 3)`` lie in the world, for pictures."""
         return goals

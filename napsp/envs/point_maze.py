@@ -15,14 +15,10 @@ two ends at the solid corner in the middle of the house.
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
-from gymnasium import spaces
-from gymnasium_robotics.core import GoalEnv
 
-from napsp.envs.dynamics import INTEGRATION_STATE
+from napsp.envs.open_loop import OpenLoopDynamics, OpenLoopEnv
 
 WALL_HALF_THICKNESS = 0.03
 POINT_RADIUS = 0.05
@@ -74,42 +70,10 @@ def _build_model(scale: float) -> mujoco.MjModel:
     </mujoco>""")
 
 
-class PointMazeSimulation:
-    """The point on one ``MjData``: hold a force for ``substeps`` physics steps."""
-
-    def __init__(self, dynamics: PointMazeDynamics, data: mujoco.MjData) -> None:
-        self._model, self._data, self._substeps = dynamics.model, data, dynamics.substeps
-
-    def advance(self, controls: np.ndarray, features: np.ndarray) -> None:
-        """Apply forces ``(n, 2)`` one after the other; write features ``(n, 4)``."""
-        for control, row in zip(controls, features, strict=True):
-            self._data.ctrl[:] = control
-            mujoco.mj_step(self._model, self._data, nstep=self._substeps)
-            self.observe(row)
-
-    def observe(self, features: np.ndarray) -> None:
-        """Features ``(4,)``: qpos then qvel."""
-        features[:2] = self._data.qpos
-        features[2:] = self._data.qvel
-
-    def restore(self, state: np.ndarray) -> None:
-        """Load a full integration state."""
-        mujoco.mj_setState(self._model, self._data, state, INTEGRATION_STATE)
-
-
-class PointMazeDynamics:
+class PointMazeDynamics(OpenLoopDynamics):
     """Force control of the point: a control row is the action, features are (x, y, vx, vy)."""
 
-    open_loop = True
     substeps = 10
-    n_features = 4
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
-
-    def bind(self, data: mujoco.MjData) -> PointMazeSimulation:
-        """Simulate on ``data``."""
-        return PointMazeSimulation(self, data)
 
     def control(self, actions: np.ndarray) -> np.ndarray:
         """Forces ``(..., 2)``: actions clipped to [-1, 1]; the gear turns 1 into 10 N."""
@@ -120,7 +84,7 @@ class PointMazeDynamics:
         return features.copy(), features[..., :2].copy()
 
 
-class PointMazeEnv(GoalEnv):
+class PointMazeEnv(OpenLoopEnv):
     """Goal-conditioned point maze.
 
     Action: force per axis in [-1, 1] ``(2,)``. Observation: (x, y, vx, vy). Goal: (x, y),
@@ -128,83 +92,19 @@ class PointMazeEnv(GoalEnv):
     lasts 0.1 s. ``scale=4`` makes every length four times as long at the same speed.
     """
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+    camera = "top"
+    step_length = 0.1  # metres per control step along one axis at full speed
 
     def __init__(self, scale: float = 1.0, render_mode: str | None = None) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode {render_mode!r} is not one of {self.metadata['render_modes']}")
         self.scale = scale
-        self.distance_threshold = 0.1 * scale
-        self.step_length = 0.1  # metres per control step along one axis at full speed
-        self.model = _build_model(scale)
-        self.data = mujoco.MjData(self.model)
-        self.dynamics = PointMazeDynamics(self.model)
-        self._simulation = self.dynamics.bind(self.data)
-        self.render_mode = render_mode
-        self.goal = np.zeros(2)
-        self._features = np.zeros((1, self.dynamics.n_features))
-        self._renderer: Any = None
-        unbounded = {"low": -np.inf, "high": np.inf, "dtype": np.float64}
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.observation_space = spaces.Dict(
-            observation=spaces.Box(shape=(4,), **unbounded),
-            achieved_goal=spaces.Box(shape=(2,), **unbounded),
-            desired_goal=spaces.Box(shape=(2,), **unbounded),
-        )
+        super().__init__(PointMazeDynamics(_build_model(scale)), 0.1 * scale, render_mode)
 
-    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
-        """Start at rest in the lower left room; draw a goal in the upper right room."""
-        super().reset(seed=seed)
+    def _start(self) -> None:
+        """At rest in the lower left room; a goal in the upper right room."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.np_random.uniform(-0.8, -0.2, 2) * self.scale
         self.goal = self.np_random.uniform(0.2, 0.8, 2) * self.scale
-        mujoco.mj_forward(self.model, self.data)
-        self._simulation.observe(self._features[0])
-        return self._observation(), {}
-
-    def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
-        """Advance one control step (0.1 s). Never terminates: reaching a goal is not an end."""
-        self._simulation.advance(self.dynamics.control(action)[None], self._features)
-        observation = self._observation()
-        reward = self.compute_reward(observation["achieved_goal"], self.goal, {})
-        return observation, float(reward), False, False, {"is_success": bool(reward == 0)}
-
-    def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
-        """Tell for each pair of goals ``(..., 2)`` whether they are within the threshold."""
-        offset = np.asarray(achieved_goal) - np.asarray(desired_goal)
-        return np.linalg.norm(offset, axis=-1) < self.distance_threshold
 
     def goal_positions(self, goals: np.ndarray) -> np.ndarray:
         """Where goals ``(..., 2)`` lie in the world, ``(..., 3)``, for pictures."""
         return np.concatenate([goals, np.full((*goals.shape[:-1], 1), POINT_RADIUS)], axis=-1)
-
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> Any:
-        """Sparse reward ``(...)``: 0 where reached, -1 elsewhere."""
-        del info
-        return self.reached(achieved_goal, desired_goal).astype(np.float32) - np.float32(1)
-
-    def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> bool:
-        """Goal reaching continues after success, so there is no termination."""
-        return False
-
-    def compute_truncated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> bool:
-        """The time limit is a wrapper's business."""
-        return False
-
-    def _observation(self) -> dict[str, np.ndarray]:
-        observation, achieved_goal = self.dynamics.observe(self._features[0])
-        return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
-
-    def render(self) -> np.ndarray | None:
-        """Draw the maze from above."""
-        if self._renderer is None:
-            from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
-
-            self._renderer = MujocoRenderer(self.model, self.data, width=480, height=480, camera_name="top")
-        return self._renderer.render(self.render_mode)
-
-    def close(self) -> None:
-        """Release the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
