@@ -11,7 +11,7 @@ from conftest import TASKS
 from gymnasium.utils.env_checker import check_env
 
 from napsp import envs
-from napsp.envs.fetch import FetchReachEnv, FetchReachWallEnv
+from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import UserError
 
 
@@ -48,6 +48,9 @@ def test_time_limit_truncates():
 
 def test_names():
     assert envs.canonical_name("fetch_reach_wall") == envs.canonical_name("napsp/FetchReachWall-v0") == "fetch_wall"
+    for alias in ("fetch_pick_and_place_wall", "pick_place_wall", "napsp/FetchPickPlaceWall-v0"):
+        assert envs.canonical_name(alias) == "fetch_pick_place_wall"
+    assert envs.canonical_name("fetch_pick_and_place") == "fetch_pick_place"
     with pytest.raises(UserError, match=r"unknown environment 'nope'; choose one of: point_maze"):
         envs.make("nope")
 
@@ -89,12 +92,12 @@ def can_render():
     return subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
 
 
-def test_rendering_does_not_change_the_dynamics(worlds):
+@pytest.mark.parametrize("name", ["fetch_wall", "fetch_pick_place"])
+def test_rendering_does_not_change_the_dynamics(name, worlds):
     # Only a missing OpenGL excuses this test; an error of our own rendering fails it.
     if not can_render():
         pytest.skip("no off-screen OpenGL on this machine: nothing can be drawn")
-    plain = worlds["fetch_wall"]
-    drawn = FetchReachWallEnv(render_mode="rgb_array")
+    plain, drawn = worlds[name], envs.make(name, render_mode="rgb_array").unwrapped
     drawn.reset(seed=0)
     drawn.render()
     plain.reset(seed=3), drawn.reset(seed=3)
@@ -104,6 +107,8 @@ def test_rendering_does_not_change_the_dynamics(worlds):
         plain.step(action), drawn.step(action)
         drawn.render()
         np.testing.assert_array_equal(plain.data.qpos, drawn.data.qpos)
+    shown = drawn.data.site_xpos[drawn.model.site("target0").id]
+    np.testing.assert_allclose(shown, drawn.goal_positions(drawn.goal), atol=1e-12)
     drawn.close()
 
 

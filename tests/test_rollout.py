@@ -4,12 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import TASKS
+from scripted import play
 
 from mpc.rollout import RolloutEngine
 from napsp.envs.dynamics import INTEGRATION_STATE, get_state
-from napsp.envs.fetch import FetchReachSimulation
 
 STEPS = 25
+PICK_PLACE = ("fetch_pick_place", "fetch_pick_place_wall")
 
 
 def start_episode(world, seed, contact):
@@ -37,70 +38,129 @@ def final_state(engine, worker):
     return np.concatenate([data.qpos, data.qvel])
 
 
-def largest_error(world, engine, seeds, contact):
-    worst, contacts = 0.0, 0
-    for seed in seeds:
-        actions = start_episode(world, seed, contact)
-        batch = np.stack([actions[::-1], actions])
-        state = get_state(world.model, world.data)
-        trajectories = engine.rollout(state, batch)
-        assert not trajectories.diverged.any()
-        observations, achieved = execute(world, actions)
-        contacts += world.data.ncon
-        worst = max(
-            worst,
-            np.abs(observations - trajectories.observations[1]).max(),
-            np.abs(achieved - trajectories.achieved_goals[1]).max(),
-        )
-        if not world.dynamics.open_loop:  # sample 1 is the last one of worker 1
-            executed = np.concatenate([world.data.qpos, world.data.qvel])
-            worst = max(worst, np.abs(executed - final_state(engine, 1)).max())
-    return worst, contacts
+def start_grasp(world, seed, lift):
+    """Grasp the box; return the actions that then carry it, or push it into the wall."""
+    actions = play(world, seed, lift)[0]
+    world.reset(seed=seed)
+    for action in actions[:14]:
+        world.step(action)
+    actions = actions[14 : 14 + STEPS]
+    if seed % 2:
+        actions[:, 3] *= 0.01  # a full close saturates; now the fingers' targets follow the fingers
+    return actions
+
+
+def compare(world, engine, actions):
+    """Largest difference between planned and executed numbers; executes the actions."""
+    batch = np.stack([actions[::-1], actions])
+    trajectories = engine.rollout(get_state(world.model, world.data), batch)
+    assert not trajectories.diverged.any()
+    observations, achieved = execute(world, actions)
+    worst = max(
+        np.abs(observations - trajectories.observations[1]).max(),
+        np.abs(achieved - trajectories.achieved_goals[1]).max(),
+    )
+    if not world.dynamics.open_loop:  # sample 1 is the last one of worker 1
+        executed = np.concatenate([world.data.qpos, world.data.qvel])
+        worst = max(worst, np.abs(executed - final_state(engine, 1)).max())
+    return worst
 
 
 @pytest.mark.parametrize("contact", [False, True], ids=["random", "contact"])
 @pytest.mark.parametrize("name", TASKS)
 def test_rollout_equals_step(name, contact, worlds):
-    with RolloutEngine(worlds[name].dynamics, n_threads=2) as engine:
-        worst, contacts = largest_error(worlds[name], engine, range(20), contact)
-    assert worst == 0.0
+    world, contacts = worlds[name], 0
+    with RolloutEngine(world.dynamics, n_threads=2) as engine:
+        for seed in range(20):
+            actions = start_episode(world, seed, contact)
+            assert compare(world, engine, actions) == 0.0
+            contacts += world.data.ncon
     assert not contact or contacts >= 10, "the contact-rich episodes touch nothing"
 
 
-class WithoutWarmStart(FetchReachSimulation):
-    def restore(self, state):
-        super().restore(state)
-        self._data.qacc_warmstart[:] = 0.0
+@pytest.mark.parametrize("lift", [True, False], ids=["carry", "push"])
+@pytest.mark.parametrize("name", PICK_PLACE)
+def test_rollout_equals_step_while_grasping(name, lift, worlds):
+    world = worlds[name]
+    fingers = {world.model.geom(f"robot0:{side}_gripper_finger_link").id for side in "lr"}
+    box, touched = world.model.geom("object0").id, 0
+    with RolloutEngine(world.dynamics, n_threads=2) as engine:
+        for seed in range(10):
+            actions = start_grasp(world, seed, lift)
+            touched += any(box in pair and fingers & set(pair) for pair in world.data.contact.geom.tolist())
+            assert compare(world, engine, actions) == 0.0
+    assert touched >= 8, "the gripper does not hold the box"
 
 
-class WithoutFingerReset(FetchReachSimulation):
-    def __init__(self, dynamics, data):
-        super().__init__(dynamics, data)
-        self._fingers = np.zeros(2)  # closes these instead
+def without_warm_start(simulation):
+    after_restore(simulation, lambda data: data.qacc_warmstart.fill(0.0))
 
 
-class WithoutMocapAnchor(FetchReachSimulation):
+def without_velocities(simulation):
+    after_restore(simulation, lambda data: data.qvel.fill(0.0))
+
+
+def without_box_velocity(simulation):
+    after_restore(simulation, lambda data: data.qvel[-6:].fill(0.0))
+
+
+def after_restore(simulation, forget):
+    restore = simulation.restore
+
+    def broken(state):
+        restore(state)
+        forget(simulation._data)
+
+    simulation.restore = broken
+
+
+def without_fresh_poses(simulation):
+    model, data = simulation._model, simulation._data
+    simulation.restore = lambda state: mujoco.mj_setState(model, data, state, INTEGRATION_STATE)
+
+
+def without_finger_control(simulation):
+    """Blocked fingers are not closed; driven ones get absolute targets."""
+    simulation._fingers = simulation._actuated = np.zeros(2)
+
+
+def with_swapped_fingers(simulation):
+    simulation._actuated = simulation._fingers
+
+
+def without_mocap_anchor(simulation):
     """Accumulates displacements on the mocap's own pose instead of the gripper's."""
-
-    def __init__(self, dynamics, data):
-        super().__init__(dynamics, data)
-        self._anchor = self._target
+    simulation._anchor = simulation._target
 
 
-class WithoutMocapRotation(FetchReachSimulation):
-    def __init__(self, dynamics, data):
-        super().__init__(dynamics, data)
-        self._rotation = np.array([1.0, 0.0, 0.0, 0.0])
+def without_mocap_rotation(simulation):
+    simulation._rotation = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("broken", [WithoutWarmStart, WithoutFingerReset, WithoutMocapAnchor, WithoutMocapRotation])
-def test_the_comparison_notices_missing_state(broken, worlds, monkeypatch):
-    world = worlds["fetch_wall"]
-    monkeypatch.setattr(type(world.dynamics), "bind", lambda dynamics, data: broken(dynamics, data))  # noqa: PLW0108 - a bare class would not bind
-    engine = RolloutEngine(world.dynamics, n_threads=2)
-    monkeypatch.undo()
-    with engine:
-        assert largest_error(world, engine, range(4), contact=True)[0] > 0.0
+ARM = (
+    without_warm_start,
+    without_velocities,
+    without_fresh_poses,
+    without_finger_control,
+    without_mocap_anchor,
+    without_mocap_rotation,
+)
+BREAKAGES = [("fetch_wall", f) for f in ARM]
+BREAKAGES += [("fetch_pick_place_wall", f) for f in (*ARM, without_box_velocity, with_swapped_fingers)]
+
+
+@pytest.mark.parametrize(("name", "breakage"), BREAKAGES)
+def test_the_comparison_notices_missing_state(name, breakage, worlds):
+    world = worlds[name]
+    with RolloutEngine(world.dynamics, n_threads=2) as engine:
+        for simulation in engine._simulations:
+            breakage(simulation)
+        worst = 0.0
+        for seed in range(4):
+            free = seed % 2 or name == "fetch_wall"
+            actions = start_episode(world, seed, True) if free else start_grasp(world, seed, True)
+            worst = max(worst, compare(world, engine, actions))
+    assert worst > 0.0
 
 
 def test_missing_warm_start_is_noticed_in_the_maze(worlds):
@@ -118,7 +178,7 @@ def test_missing_warm_start_is_noticed_in_the_maze(worlds):
     assert worst > 0.0
 
 
-@pytest.mark.parametrize("name", ["point_maze", "fetch_wall", "claw"])
+@pytest.mark.parametrize("name", ["point_maze", "fetch_wall", "fetch_pick_place", "claw"])
 def test_results_do_not_depend_on_threads(name, worlds):
     world = worlds[name]
     world.reset(seed=0)
@@ -168,7 +228,7 @@ class Bound:
         mujoco.mj_setState(self.model, self.data, state, INTEGRATION_STATE)
 
 
-@pytest.mark.parametrize("name", ["point_maze", "fetch_wall"])
+@pytest.mark.parametrize("name", ["point_maze", "fetch_wall", "fetch_pick_place"])
 def test_no_steps_is_a_legal_rollout(name, worlds):
     world = worlds[name]
     world.reset(seed=0)

@@ -71,15 +71,12 @@ class FetchPickPlaceDynamics(FetchDynamics):
 
     def __init__(self, model: mujoco.MjModel, augmented_goal: bool) -> None:
         super().__init__(model)
-        n, first = self.n_joints, self.fingers.start
-        box_at_origin = not model.site("object0").pos.any() and (model.site("object0").quat == np.eye(4)[0]).all()
-        if int(model.joint("object0:joint").dofadr[0]) != n or model.actuator_trnid[:, 0].tolist() != [
-            first + 1,
-            first,
-        ]:
-            raise ValueError("the Fetch model has changed: expected the box after the arm, and actuators left, right")
-        if not box_at_origin:
-            raise ValueError("the Fetch model has changed: expected the box's site in its centre")
+        right, left = range(self.fingers.start, self.fingers.stop)
+        site = model.site("object0")
+        if int(model.joint("object0:joint").dofadr[0]) != self.n_joints or site.pos.any() or site.quat[0] != 1.0:
+            raise ValueError("the Fetch model has changed: expected the box after the arm, its site in its centre")
+        if model.actuator_trnid[:, 0].tolist() != [left, right]:
+            raise ValueError("the Fetch model has changed: expected actuators for the left, then the right finger")
         self._augmented = augmented_goal
         self._box = self.n_features
         self.n_features += 12
