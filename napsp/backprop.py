@@ -7,13 +7,37 @@ same code runs on any device.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
 
-Tape = list[tuple[Tensor, Tensor]]
-"""Per layer, what the backward pass needs: its inputs, and its outputs before SiLU."""
+
+class Tape:
+    """What a backward pass needs of its forward pass, in memory that is used again and again.
+
+    Fresh memory would fall out of the cache between the passes of several networks.
+
+    Attributes:
+        inputs: of the network, ``(B, n)``.
+        before: outputs of each hidden layer before SiLU, ``(B, width)``.
+        after: the same after SiLU.
+        slopes: d loss / d before.
+    """
+
+    def __init__(self, n_rows: int, widths: list[int], like: Tensor) -> None:
+        self.inputs = like
+        self.before, self.after, self.slopes = ([like.new_empty(n_rows, width) for width in widths] for _ in range(3))
+
+    def part(self, rows: slice) -> Tape:
+        """The tape of some rows (views)."""
+        tape = copy.copy(self)
+        tape.inputs = self.inputs[rows]
+        tape.before, tape.after, tape.slopes = (
+            [values[rows] for values in kind] for kind in (self.before, self.after, self.slopes)
+        )
+        return tape
 
 
 class Backprop:
@@ -24,24 +48,23 @@ class Backprop:
     """
 
     def __init__(self, net: nn.Module) -> None:
-        self._layers = [(layer.weight, layer.bias) for layer in net.modules() if isinstance(layer, nn.Linear)]
-
-    def outputs(self, inputs: Tensor) -> Tensor:
-        """Outputs ``(B, n)`` alone, in as little memory as possible."""
-        for index, (weight, bias) in enumerate(self._layers):
-            inputs = torch.addmm(bias, nn.functional.silu(inputs, inplace=True) if index else inputs, weight.t())
-        return inputs
+        layers = [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
+        self._parameters = [(layer.weight, layer.bias) for layer in layers]
+        self._widths = [layer.out_features for layer in layers[:-1]]
+        self._tapes: dict[int, Tape] = {}
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tape]:
-        """Outputs ``(B, n)`` and the tape for :meth:`backward`."""
-        tape: Tape = []
-        values = outputs = inputs
-        for weight, bias in self._layers:
-            if tape:
-                values = nn.functional.silu(outputs)
-            outputs = torch.addmm(bias, values, weight.t())
-            tape.append((values, outputs))
-        return outputs, tape
+        """Outputs ``(B, n)``, and the tape for :meth:`backward`; the next forward pass overwrites it."""
+        tape = self._tapes.get(len(inputs))
+        if tape is None:
+            tape = self._tapes[len(inputs)] = Tape(len(inputs), self._widths, inputs)
+        tape.inputs = inputs
+        for (weight, bias), before, after in zip(self._parameters, tape.before, tape.after, strict=False):
+            torch.addmm(bias, inputs, weight.t(), out=before)
+            torch.ops.aten.silu.out(before, out=after)
+            inputs = after
+        weight, bias = self._parameters[-1]
+        return torch.addmm(bias, inputs, weight.t()), tape
 
     def backward(self, tape: Tape, gradient: Tensor, parameters: bool = True, inputs: slice | None = None) -> Tensor:
         """Push d loss / d outputs ``(B, n)`` back.
@@ -55,14 +78,16 @@ class Backprop:
         Returns:
             d loss / d inputs ``(B, len(inputs))``; empty columns if None.
         """
-        for index in reversed(range(len(self._layers))):
-            weight, bias = self._layers[index]
+        for index in reversed(range(len(self._parameters))):
+            weight, bias = self._parameters[index]
             if parameters:
-                torch.mm(gradient.t(), tape[index][0], out=weight.grad)
+                torch.mm(gradient.t(), tape.after[index - 1] if index else tape.inputs, out=weight.grad)
                 torch.sum(gradient, 0, out=bias.grad)
             if index:
-                gradient = gradient @ weight
-                torch.ops.aten.silu_backward.grad_input(gradient, tape[index - 1][1], grad_input=gradient)
+                slope = tape.slopes[index - 1]
+                torch.mm(gradient, weight, out=slope)
+                torch.ops.aten.silu_backward.grad_input(slope, tape.before[index - 1], grad_input=slope)
+                gradient = slope
         return gradient @ weight[:, inputs or slice(0)]
 
 

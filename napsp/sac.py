@@ -54,62 +54,62 @@ class SAC:
         There is no terminal flag: goal reaching goes on after success, and a time limit is
         not an end of the task.
         """
-        alpha = self.log_alpha.exp()
+        alpha, n = self.log_alpha.exp(), len(batch.rewards)
         # The policy does not change before both of its passes are done, so they are one pass.
         states = torch.cat([batch.next_observations, batch.observations])
         outputs, tape = self._policy.forward(torch.cat([states, batch.goals.repeat(2, 1)], dim=1))
-        (next_outputs, outputs), n = outputs.chunk(2), len(batch.rewards)
-        metrics = self._update_critics(batch, next_outputs, alpha, generator)
-        tape = [(inputs[n:], before[n:]) for inputs, before in tape]
-        surplus = self._update_policy(batch, outputs, tape, alpha, generator)
-        self._update_alpha(surplus)
+        actions, log_density, noise, log_std = squash(outputs, generator)
+        metrics = self._update_critics(batch, actions[:n], log_density[:n], alpha)
+        current = slice(n, None)
+        value_slope = self._value_slope(batch, actions[current])
+        slopes = _policy_slopes(
+            outputs[current], actions[current], noise[current], log_std[current], value_slope, alpha
+        )
+        self._policy.backward(tape.part(current), slopes)
+        self.optimizers["policy_optimizer"].step()
+        self._update_alpha(log_density[current])
         self._target_vector.lerp_(self._critic_vector, self._polyak)
         return {**metrics, "entropy_weight": alpha}
 
     def _update_critics(
-        self, batch: PolicyBatch, next_outputs: Tensor, alpha: Tensor, generator: torch.Generator
+        self, batch: PolicyBatch, next_actions: Tensor, log_density: Tensor, alpha: Tensor
     ) -> dict[str, Tensor]:
-        next_actions, log_density, _, _ = squash(next_outputs, generator)
         inputs = torch.cat([batch.next_observations, next_actions, batch.goals], dim=1)
-        next_values = torch.minimum(*(target.outputs(inputs) for target in self._targets)).squeeze(1)
+        next_values = torch.minimum(*(target.forward(inputs)[0] for target in self._targets)).squeeze(1)
         targets = batch.rewards + self._discount * (next_values - alpha * log_density)
-        targets = targets.clamp(*self._value_range)
-        inputs, loss = torch.cat([batch.observations, batch.actions, batch.goals], dim=1), torch.zeros(())
+        targets = targets.clamp(*self._value_range).unsqueeze(1)
+        inputs = torch.cat([batch.observations, batch.actions, batch.goals], dim=1)
         for critic in self._critics:
             values, tape = critic.forward(inputs)
-            errors = values - targets.unsqueeze(1)
+            errors = values - targets
             critic.backward(tape, errors * (2.0 / len(errors)))
-            loss = loss + errors.square().mean()
         self.optimizers["critic_optimizer"].step()
-        return {"critic_loss": loss, "mean_value": targets.mean()}
+        return {"critic_loss": errors.square().mean(), "mean_value": targets.mean()}
 
-    def _update_policy(
-        self, batch: PolicyBatch, outputs: Tensor, policy_tape: list, alpha: Tensor, generator: torch.Generator
-    ) -> Tensor:
-        """Descend mean(alpha * log pi(a) - min Q(a)), a = tanh(mean + std * noise).
-
-        Returns how far the policy's entropy exceeds the target.
-        """
-        actions, log_density, noise, log_std = squash(outputs, generator)
+    def _value_slope(self, batch: PolicyBatch, actions: Tensor) -> Tensor:
+        """Return d min Q / d a ``(B, A)``: that of the critic with the smaller value, row by row."""
         inputs = torch.cat([batch.observations, actions, batch.goals], dim=1)
         (first, first_tape), (second, second_tape) = (critic.forward(inputs) for critic in self._critics)
-        # d min Q / d Q is 1 for the smaller one of each row.
         chosen, width = (first < second).to(first.dtype), batch.observations.shape[1]
         columns = slice(width, width + actions.shape[1])
-        value_slope = self._critics[0].backward(first_tape, chosen, parameters=False, inputs=columns)
-        value_slope += self._critics[1].backward(second_tape, 1.0 - chosen, parameters=False, inputs=columns)
-        # Before tanh: log pi grows by 2 tanh(u) du (the squashing), Q by Q'(a) (1 - tanh(u)^2) du.
-        slope = (alpha * 2.0 * actions - value_slope * (1.0 - actions.square())) / len(actions)
-        log_std_slope = slope * log_std.exp() * noise - alpha / len(actions)
-        raw = outputs[:, actions.shape[1] :]
-        log_std_slope *= (raw == log_std).to(raw.dtype)  # no gradient through the clamp
-        self._policy.backward(policy_tape, torch.cat([slope, log_std_slope], dim=1))
-        self.optimizers["policy_optimizer"].step()
-        return -(log_density.mean() + self._target_entropy)
+        slope = self._critics[0].backward(first_tape, chosen, parameters=False, inputs=columns)
+        return slope + self._critics[1].backward(second_tape, 1.0 - chosen, parameters=False, inputs=columns)
 
-    def _update_alpha(self, surplus: Tensor) -> None:
+    def _update_alpha(self, log_density: Tensor) -> None:
         """Alpha falls while the policy's entropy exceeds the target, and rises below it."""
         if "alpha_optimizer" in self.optimizers:
-            self.log_alpha.grad = surplus  # of the loss log_alpha * surplus
+            # The gradient of -log_alpha * (log pi + target entropy).
+            self.log_alpha.grad = -(log_density.mean() + self._target_entropy)
             self.optimizers["alpha_optimizer"].step()
             self.log_alpha.clamp_(min=self._min_log_alpha)
+
+
+def _policy_slopes(
+    outputs: Tensor, actions: Tensor, noise: Tensor, log_std: Tensor, value_slope: Tensor, alpha: Tensor
+) -> Tensor:
+    """Gradient of mean(alpha * log pi(a) - min Q(a)), a = tanh(mean + std * noise), by the outputs ``(B, 2 A)``."""
+    # Before tanh: log pi grows by 2 tanh(u) du (the squashing), Q by Q'(a) (1 - tanh(u)^2) du.
+    mean_slope = (alpha * 2.0 * actions - value_slope * (1.0 - actions.square())) / len(actions)
+    log_std_slope = mean_slope * log_std.exp() * noise - alpha / len(actions)
+    inside = outputs[:, actions.shape[1] :] == log_std  # no gradient through the clamp
+    return torch.cat([mean_slope, log_std_slope * inside], dim=1)

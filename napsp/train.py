@@ -79,17 +79,13 @@ class Run:
     def open(cls, config: TrainConfig, folder: Path, restart: bool, tensorboard: bool) -> Run:
         """Start a run in ``folder`` or continue the one it holds."""
         git_revision()  # now, not when the first checkpoint is written
-        torch.manual_seed(config.seed)  # initial weights
-        rng, generator = np.random.default_rng(config.seed), torch.Generator().manual_seed(config.seed)
         envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
-        sizes = _sizes(envs[0])
         state = folder / STATE_FILE
         if restart:
             for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, "metrics.csv"):
                 (folder / name).unlink(missing_ok=True)
         saved = read_training(state, config) if state.is_file() else None
-        warmup = warmup_episodes(saved[0], config) if saved else _warm_up(envs, config, rng, generator)
-        learner = Learner(config, sizes, warmup, _sparse_reward(envs[0]), rng, generator)
+        learner = new_learner(config, envs, warmup_episodes(saved[0], config) if saved else None)
         iteration, rows, seconds, revisions = 0, [], 0.0, [git_revision()]
         if saved:
             iteration = restore_training(learner, *saved)
@@ -99,7 +95,9 @@ class Run:
             print(f"continuing {folder} at episode {len(learner.buffer)}")
         folder.mkdir(parents=True, exist_ok=True)
         progress = Progress(folder, rows, tensorboard)
-        run = cls(config, folder, envs, sizes, learner, iteration, progress, seconds, time.monotonic(), revisions)
+        run = cls(
+            config, folder, envs, sizes_of(envs[0]), learner, iteration, progress, seconds, time.monotonic(), revisions
+        )
         if iteration < run.n_iterations:
             (folder / RECORD_FILE).unlink(missing_ok=True)  # it belongs to a shorter run
         run._previous_handler = signal.signal(signal.SIGINT, run._interrupt)
@@ -181,6 +179,15 @@ class Run:
             print(f"saved in {self.folder}; the same command continues it")
 
 
+def new_learner(config: TrainConfig, envs: list[Any], warmup: Episodes | None = None) -> Learner:
+    """The learner before iteration 0; collects the warm-up episodes unless they are given."""
+    torch.manual_seed(config.seed)  # initial weights
+    rng, generator = np.random.default_rng(config.seed), torch.Generator().manual_seed(config.seed)
+    if warmup is None:
+        warmup = _warm_up(envs, config, rng, generator)
+    return Learner(config, sizes_of(envs[0]), warmup, _sparse_reward(envs[0]), rng, generator)
+
+
 def _warm_up(envs: list[Any], config: TrainConfig, rng: np.random.Generator, generator: torch.Generator) -> Episodes:
     """Random episodes that seed D: line 22 comes last, so iteration 0 would find D empty."""
     parts = []
@@ -191,7 +198,8 @@ def _warm_up(envs: list[Any], config: TrainConfig, rng: np.random.Generator, gen
     return concatenate(parts)
 
 
-def _sizes(env: Any) -> tuple[int, int, int]:
+def sizes_of(env: Any) -> tuple[int, int, int]:
+    """Widths of observation, action and goal."""
     spaces = env.observation_space.spaces
     return spaces["observation"].shape[0], env.action_space.shape[0], spaces["desired_goal"].shape[0]
 

@@ -1,0 +1,149 @@
+"""Gradient updates per second of HER + SAC: ours against Stable-Baselines3's.
+
+``python -m benchmarks.learner_speed`` gives both the same networks (SiLU), batch, task, episodes'
+length and thread count, and runs them in turn. An update draws relabelled transitions and steps
+critics, policy, entropy weight and targets. Beside the ratio stands the share of the machine's
+own matrix-product speed that the arithmetic of an update makes up.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+
+from napsp import envs as tasks
+from napsp.checkpoint import git_revision, write_json
+from napsp.config import TrainConfig, preset
+from napsp.errors import UserError, run_command
+from napsp.train import new_learner, sizes_of
+
+
+@dataclass(frozen=True)
+class LearnerSpeedOptions:
+    """Measure the learner."""
+
+    env: str = "fetch_wall"
+    """Task."""
+    width: int = 256
+    """Width of the two hidden layers."""
+    batch_size: int = 256
+    """Transitions per update."""
+    updates: int = 200
+    """Updates per round."""
+    rounds: int = 7
+    """Interleaved rounds; figures are medians."""
+    threads: int = 1
+    """CPU threads of both."""
+    out: Path | None = None
+    """JSON file for the figures."""
+
+
+def ours(config: TrainConfig) -> Callable[[], object]:
+    """One round of our updates."""
+    envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
+    return new_learner(config, envs).train_policy
+
+
+def stable_baselines(config: TrainConfig, updates: int) -> Callable[[], object]:
+    """One round of Stable-Baselines3's updates."""
+    try:
+        from stable_baselines3 import SAC, HerReplayBuffer
+    except ImportError:
+        raise UserError("Stable-Baselines3 is not installed; run: pip install 'napsp[test]'") from None
+    n_steps = config.n_warmup_episodes * config.horizon
+    model = SAC(
+        "MultiInputPolicy",
+        tasks.make(config.env),
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
+        batch_size=config.batch_size,
+        learning_rate=config.policy_learning_rate,
+        gamma=config.discount,
+        tau=config.polyak,
+        policy_kwargs={"net_arch": list(config.hidden), "activation_fn": torch.nn.SiLU},
+        learning_starts=n_steps,
+        seed=0,
+        device="cpu",
+    )
+    model.learn(n_steps)
+    return lambda: model.train(updates, config.batch_size)
+
+
+def arithmetic(config: TrainConfig, sizes: tuple[int, int, int]) -> float:
+    """Floating-point operations of the matrix products of one update."""
+    n_observation, n_action, n_goal = sizes
+    width = config.hidden[0]
+    hidden = width * width
+    critic_in, policy_in = n_observation + n_action + n_goal, n_observation + n_goal
+    critic, policy = critic_in * width + hidden + width, policy_in * width + hidden + 2 * n_action * width
+    # Forward: two passes of the policy, six of a critic. Backward: by weights for two critics and
+    # the policy; by inputs for two critics twice and the policy (not into the first layer's inputs).
+    forward = 2 * policy + 6 * critic
+    weights = 2 * critic + policy
+    inputs = 4 * (hidden + width) + 2 * n_action * width + hidden + 2 * n_action * width
+    return 2.0 * config.batch_size * (forward + weights + inputs)
+
+
+def matrix_product_speed(width: int, n_rows: int) -> float:
+    """Floating-point operations per second of one warm product ``(n_rows, width) x (width, width)``."""
+    a, b, out = torch.randn(n_rows, width), torch.randn(width, width), torch.empty(n_rows, width)
+    times = []
+    for _ in range(50):
+        start = time.perf_counter()
+        torch.mm(a, b, out=out)
+        times.append(time.perf_counter() - start)
+    return 2.0 * n_rows * width * width / float(np.median(times))
+
+
+def main() -> int:
+    """Measure, print, optionally write JSON."""
+    options = tyro.cli(LearnerSpeedOptions, prog="python -m benchmarks.learner_speed")
+    if min(options.rounds, options.updates, options.threads) < 1:
+        raise UserError("--rounds, --updates and --threads must be at least 1")
+    torch.set_num_threads(options.threads)
+    config = preset(
+        options.env, method="sparse", agent="sac", hidden=(options.width, options.width),
+        batch_size=options.batch_size, n_policy_updates=options.updates, n_warmup_episodes=40,
+    )  # fmt: skip
+    sizes = sizes_of(tasks.make(config.env))
+    jobs = {"ours": ours(config), "stable_baselines3": stable_baselines(config, options.updates)}
+    rates: dict[str, list[float]] = {name: [] for name in jobs}
+    peaks = []
+    for _ in range(options.rounds):
+        peaks.append(matrix_product_speed(options.width, options.batch_size))
+        for name, job in jobs.items():
+            start = time.perf_counter()
+            job()
+            rates[name].append(options.updates / (time.perf_counter() - start))
+    ratio = float(np.median(np.array(rates["ours"]) / np.array(rates["stable_baselines3"])))
+    figures: dict[str, Any] = {
+        "env": config.env,
+        "hidden": list(config.hidden),
+        "batch_size": options.batch_size,
+        "threads": options.threads,
+        "torch": torch.__version__,
+        "revision": git_revision(),
+        **{f"{name}_updates_per_second": float(np.median(values)) for name, values in rates.items()},
+        "ours_over_stable_baselines3": ratio,
+        "share_of_matrix_product_speed": float(
+            np.median(np.array(rates["ours"]) * arithmetic(config, sizes) / np.array(peaks))
+        ),
+    }
+    for name, value in figures.items():
+        print(f"{name:36s} {value:.2f}" if isinstance(value, float) else f"{name:36s} {value}")
+    if options.out is not None:
+        write_json(options.out, figures)
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)
+    sys.exit(0)
