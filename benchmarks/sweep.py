@@ -7,10 +7,12 @@ several machines with a shared folder - work on the same list without meeting.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import torch
@@ -75,11 +77,14 @@ def work_on_ray(options: SweepOptions) -> None:
     except ImportError:
         raise UserError("Ray is not installed; run: pip install 'napsp[ray]'") from None
 
+    folder = Path.cwd()
+
     def task(config: TrainConfig) -> None:
+        os.chdir(folder)
         torch.set_num_threads(1)
         trained(config)
 
-    ray.init(ignore_reinit_error=True)
+    ray.init(ignore_reinit_error=True)  # the cluster of RAY_ADDRESS, or this machine
     remote = ray.remote(num_cpus=1)(task)
     ray.get([remote.remote(config) for config in cells(options)])
 

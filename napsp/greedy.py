@@ -32,7 +32,7 @@ class GreedyPolicy:
         values = np.clip((inputs - self._mean) / self._scale, -Scaling.LIMIT, Scaling.LIMIT)
         for weights, bias in self._layers[:-1]:
             values = values @ weights + bias
-            values = values / (1.0 + np.exp(-values))  # SiLU
+            values = 0.5 * values * (1.0 + np.tanh(0.5 * values))  # SiLU, without exp's overflow
         weights, bias = self._layers[-1]
         return np.tanh(values @ weights + bias)
 

@@ -68,6 +68,18 @@ def test_a_cell_in_work_elsewhere_is_left_out(workplace, capsys):
     assert cells.trained(first, wait=False).is_dir(), "a killed process lets go of its cell"
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # Ray's own
+def test_ray_trains_the_same_cells(workplace):
+    ray = pytest.importorskip("ray")
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        sweep.work_on_ray(sweep.SweepOptions(envs=("point_maze",), methods=("sparse", "ours"), seeds=1))
+    finally:
+        ray.shutdown()
+    assert len(list(cells.ROWS.glob("*.json"))) == 2
+
+
 def test_interquartile_mean_and_its_interval():
     mean, interval = interquartile_mean([0.0, 0.5, 0.6, 0.7, 1.0, 0.6, 0.6, 0.6])
     assert mean == pytest.approx(0.6) and interval[0] <= 0.6 <= interval[1]
