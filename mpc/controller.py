@@ -18,15 +18,19 @@ from napsp.envs.dynamics import get_state
 class Planner(Protocol):
     """A search over knots ``(K, U)`` in [-1, 1]; see :class:`planners.mppi.MPPI`."""
 
-    mean: np.ndarray
     effective_samples: float
+
+    @property
+    def plan(self) -> np.ndarray:
+        """The knots to execute, ``(K, U)``."""
+        ...
 
     def reset(self) -> None:
         """Forget the plan."""
         ...
 
     def sample(self, rng: np.random.Generator, proposals: np.ndarray | None = None) -> np.ndarray:
-        """Knots to try, ``(N, K, U)``."""
+        """Knots to try, ``(N, K, U)``; ``proposals`` ``(P, K, U)`` are among them."""
         ...
 
     def update(self, knots: np.ndarray, costs: np.ndarray) -> None:
@@ -128,7 +132,7 @@ class Controller:
             costs = self.cost(observation, trajectories, actions, goal)
             self.planner.update(knots, costs)
         self._warn_if_lost(costs)
-        plan = self._actions(self.planner.mean)
+        plan = self._actions(self.planner.plan)
         milliseconds = 1e3 * (time.perf_counter() - started)
         return Plan(plan[0], plan, trajectories, costs, self.planner.effective_samples, milliseconds)
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from planners.sampling import correlated_noise
+
 
 class MPPI:
     """Searches plans of K knots with U controls each; lower cost is better.
@@ -44,6 +46,11 @@ class MPPI:
         self.mean = np.zeros(self._shape)
         self.best: np.ndarray | None = None
         self.effective_samples = float(self.n_samples)
+
+    @property
+    def plan(self) -> np.ndarray:
+        """The knots to execute, ``(K, U)``."""
+        return self.mean
 
     def sample(self, rng: np.random.Generator, proposals: np.ndarray | None = None) -> np.ndarray:
         """Draw knots ``(N, K, U)``: the mean, the last best plan, proposals, and noise around the mean.
@@ -92,15 +99,6 @@ def softmin(costs: np.ndarray, temperature: float) -> np.ndarray:
     scale = temperature * spread
     weights = np.exp(-excess / scale) if scale > 1e-12 else (excess <= 1e-12).astype(float)
     return weights / weights.sum()
-
-
-def correlated_noise(rng: np.random.Generator, shape: tuple[int, int, int], correlation: float) -> np.ndarray:
-    """Unit-variance Gaussian noise ``(N, K, U)`` with AR(1) correlation along K."""
-    noise = rng.standard_normal(shape)
-    fresh = np.sqrt(1.0 - correlation**2)
-    for k in range(1, shape[1]):
-        noise[:, k] = correlation * noise[:, k - 1] + fresh * noise[:, k]
-    return noise
 
 
 if __name__ == "__main__":

@@ -17,6 +17,12 @@ RANGES: dict[str, tuple[float, float]] = {
     "video_episodes": (0, 10**6),
     "noise_scale": (0, 100),
     "noise_correlation": (0, 0.999),
+    "noise_exponent": (0, 10),
+    "min_noise_scale": (0, 100),
+    "momentum": (0, 1),
+    "decay": (1, 1000),
+    "kept": (0, 1),
+    "elites": (1, 10**6),
     "temperature": (1e-9, 1e9),
 }
 
@@ -73,6 +79,8 @@ class PlanOptions:
             value = getattr(self, name, None)
             if value is not None and not low <= value <= high:  # false for NaN as well
                 raise UserError(f"--{name.replace('_', '-')} is {value}; it must lie between {low:g} and {high:g}")
+        if getattr(self, "elites", 1) > self.samples:
+            raise UserError(f"--elites exceeds the {self.samples} samples; use fewer elites or more samples")
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,62 @@ class MPPIOptions(PlanOptions):
     """MPPI's lambda, in standard deviations of the sampled costs."""
 
 
-OPTIONS: dict[str, type[PlanOptions]] = {"mppi": MPPIOptions}
+@dataclass(frozen=True)
+class CEMOptions(PlanOptions):
+    """Plan with the cross-entropy method: a Gaussian refitted to the best samples."""
+
+    samples: int = 21
+    """Plans per refinement."""
+    refinements: int = 3
+    """Rounds of sampling per plan."""
+    elites: int = 6
+    """How many of the best plans the Gaussian is fitted to."""
+    noise_scale: float = 0.8
+    """Standard deviation before the first refinement; actions lie in [-1, 1]."""
+    min_noise_scale: float = 0.05
+    """The deviation does not shrink below this."""
+    momentum: float = 0.1
+    """Weight of the old mean and deviation in the new ones."""
+
+
+@dataclass(frozen=True)
+class ICEMOptions(PlanOptions):
+    """Plan with iCEM: the cross-entropy method with coloured noise and kept elites."""
+
+    samples: int = 26
+    """Plans in the first refinement; later ones get fewer (--decay)."""
+    refinements: int = 3
+    """Rounds of sampling per plan."""
+    decay: float = 1.25
+    """Factor between the samples of one refinement and the next."""
+    elites: int = 6
+    """How many of the best plans the Gaussian is fitted to."""
+    kept: float = 0.3
+    """Share of the elites that is tried again, in the next refinement and the next step."""
+    noise_scale: float = 0.5
+    """Standard deviation before the first refinement; actions lie in [-1, 1]."""
+    noise_exponent: float = 3.0
+    """How fast the noise's power falls with frequency; 0 is white noise."""
+    momentum: float = 0.1
+    """Weight of the old mean and deviation in the new ones."""
+
+
+@dataclass(frozen=True)
+class PredictiveSamplingOptions(PlanOptions):
+    """Plan with predictive sampling: noise around the best plan so far."""
+
+    noise_scale: float = 0.8
+    """Standard deviation of the sampled noise; actions lie in [-1, 1]."""
+    noise_correlation: float = 0.6
+    """Correlation of the noise between neighbouring knots."""
+
+
+OPTIONS: dict[str, type[PlanOptions]] = {
+    "mppi": MPPIOptions,
+    "cem": CEMOptions,
+    "icem": ICEMOptions,
+    "predictive_sampling": PredictiveSamplingOptions,
+}
 HORIZONS = {
     **dict.fromkeys(("point_maze", "point_maze_long"), 16),
     **dict.fromkeys(("fetch_reach", "fetch_wall"), 5),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import time
 from dataclasses import asdict, dataclass
@@ -19,9 +20,14 @@ from napsp.checkpoint import Model, git_revision, load_model, shipped_model
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError
 from napsp.greedy import GreedyPolicy
+from planners.cem import CEM
+from planners.icem import ICEM
 from planners.mppi import MPPI
 from planners.options import HORIZONS, PlanOptions
+from planners.predictive_sampling import PredictiveSampling
 from planners.video import Video
+
+PLANNERS: dict[str, Any] = {"mppi": MPPI, "cem": CEM, "icem": ICEM, "predictive_sampling": PredictiveSampling}
 
 
 @dataclass(frozen=True)
@@ -164,16 +170,11 @@ class Session:
 
 
 def make_planner(name: str, options: Any, n_knots: int, n_controls: int) -> Planner:
-    """The search algorithm of a command."""
-    del name  # one so far
-    return MPPI(
-        n_knots,
-        n_controls,
-        options.samples,
-        options.noise_scale,
-        options.noise_correlation,
-        options.temperature,
-    )
+    """The search algorithm of a command, with the options of the same names."""
+    names = {"n_samples": "samples", "n_elites": "elites", "n_refinements": "refinements"}
+    planner = PLANNERS[name]
+    settings = [p for p in inspect.signature(planner).parameters if p not in ("n_knots", "n_controls")]
+    return planner(n_knots, n_controls, **{p: getattr(options, names.get(p, p)) for p in settings})
 
 
 def _check_goal(goal: tuple[float, ...] | None, env: Any) -> None:

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from mpc.knots import interpolation_matrix, shift_matrix
-from planners.mppi import MPPI, correlated_noise, softmin
+from planners.cem import CEM
+from planners.icem import ICEM
+from planners.mppi import MPPI, softmin
+from planners.predictive_sampling import PredictiveSampling
+from planners.sampling import best_plans, coloured_noise, correlated_noise
+
+ALL = [MPPI, CEM, ICEM, PredictiveSampling]
 
 
 def test_weights_sum_to_one_and_ignore_offset_and_scale():
@@ -31,11 +37,27 @@ def test_equal_costs_get_equal_weights():
 
 
 @pytest.mark.parametrize("bad", [np.inf, np.nan])
-def test_no_finite_cost_keeps_the_plan(bad):
-    planner = MPPI(3, 2, n_samples=8)
-    planner.mean[:] = 0.3
-    planner.update(planner.sample(np.random.default_rng(0)), np.full(8, bad))
-    np.testing.assert_array_equal(planner.mean, 0.3)
+@pytest.mark.parametrize("kind", ALL)
+def test_no_finite_cost_keeps_the_plan(kind, bad):
+    planner, rng = kind(3, 2, n_samples=8), np.random.default_rng(0)
+    planner.update(planner.sample(rng), np.arange(8.0))
+    plan = planner.plan.copy()
+    planner.shift(np.eye(3))
+    knots = planner.sample(rng)
+    planner.update(knots, np.full(len(knots), bad))
+    np.testing.assert_array_equal(planner.plan, plan)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_infinite_and_nan_costs_never_reach_the_plan(kind):
+    planner = kind(2, 1, n_samples=8, **({"n_elites": 3} if kind in (CEM, ICEM) else {}))
+    knots = planner.sample(np.random.default_rng(1))
+    costs = np.full(len(knots), np.inf)
+    knots[[0, 2, 4, 6]], costs[[0, 2, 4, 6]] = 0.25, 1.0
+    knots[1], costs[1] = -1.0, np.nan
+    planner.update(knots, costs)
+    weight = 1.0 - getattr(planner, "momentum", 0.0) if kind is CEM else 1.0
+    np.testing.assert_allclose(planner.plan, 0.25 * weight)
 
 
 def test_a_diverged_sample_can_not_win():
@@ -46,15 +68,23 @@ def test_a_diverged_sample_can_not_win():
     np.testing.assert_array_equal(planner.best, knots[2])
 
 
-def test_converges_on_a_quadratic():
+@pytest.mark.parametrize(
+    "planner",
+    [
+        MPPI(3, 2, n_samples=256, noise_scale=0.3, noise_correlation=0.0, temperature=0.1),
+        CEM(3, 2, n_samples=128, n_elites=12),
+        ICEM(3, 2, n_samples=128, n_elites=12, noise_exponent=0.0),
+        PredictiveSampling(3, 2, n_samples=256, noise_scale=0.2, noise_correlation=0.0),
+    ],
+    ids=lambda planner: type(planner).__name__,
+)
+def test_converges_on_a_quadratic(planner):
     rng = np.random.default_rng(0)
     optimum = np.array([[0.4, -0.7], [0.1, 0.9], [-0.5, 0.2]])
-    planner = MPPI(3, 2, n_samples=256, noise_scale=0.3, noise_correlation=0.0, temperature=0.1)
     for _ in range(60):
         knots = planner.sample(rng)
         planner.update(knots, np.square(knots - optimum).sum((1, 2)))
-    np.testing.assert_allclose(planner.mean, optimum, atol=0.08)
-    np.testing.assert_allclose(planner.best, optimum, atol=0.08)
+    np.testing.assert_allclose(planner.plan, optimum, atol=0.08)
 
 
 def test_samples_hold_the_mean_the_best_and_the_proposals():
@@ -66,9 +96,70 @@ def test_samples_hold_the_mean_the_best_and_the_proposals():
     assert knots.shape == (6, 3, 2) and np.abs(knots).max() <= 1.0
 
 
-def test_same_seed_same_samples():
-    first, second = (MPPI(4, 2).sample(np.random.default_rng(3)) for _ in range(2))
+@pytest.mark.parametrize("kind", ALL)
+def test_proposals_are_tried_and_controls_stay_in_bounds(kind):
+    knots = kind(3, 2, n_samples=8).sample(np.random.default_rng(0), np.full((1, 3, 2), 0.5))
+    assert (knots == 0.5).all((1, 2)).sum() == 1
+    assert knots.shape[1:] == (3, 2) and np.abs(knots).max() <= 1.0
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_same_seed_same_plans(kind):
+    plans = []
+    for _ in range(2):
+        planner, rng = kind(4, 2, n_samples=12), np.random.default_rng(3)
+        for _ in range(4):
+            knots = planner.sample(rng)
+            planner.update(knots, np.abs(knots - 0.3).sum((1, 2)))
+            planner.shift(shift_matrix(4, 4, "linear"))
+        plans.append(planner.plan)
+    np.testing.assert_array_equal(*plans)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_reset_forgets_the_episode(kind):
+    used, fresh = kind(4, 2, n_samples=12), kind(4, 2, n_samples=12)
+    for _ in range(3):
+        knots = used.sample(np.random.default_rng(0))
+        used.update(knots, knots.sum((1, 2)))
+        used.shift(np.eye(4))
+    used.reset()
+    first, second = (planner.sample(np.random.default_rng(1)) for planner in (used, fresh))
     np.testing.assert_array_equal(first, second)
+
+
+def test_icem_keeps_and_shifts_elites_shrinks_and_tries_its_mean_last():
+    planner, rng = ICEM(2, 1, n_samples=40, n_elites=10, kept=0.3, decay=1.25), np.random.default_rng(0)
+    sizes = []
+    for _ in range(3):
+        knots = planner.sample(rng)
+        sizes.append(len(knots))
+        if len(sizes) > 1:  # three of ten elites, best first
+            np.testing.assert_array_equal(knots[:3], planner._elites[:3])
+        if len(sizes) == 3:
+            np.testing.assert_array_equal(knots[3], planner.mean)
+        planner.update(knots, knots.sum((1, 2)))
+    assert sizes == [40, 32, 25]
+    best, elites = planner.plan, planner._elites
+    np.testing.assert_array_equal(best, elites[0])
+    planner.shift(shift_matrix(2, 2, "linear"))
+    np.testing.assert_array_equal(planner.sample(rng)[0], elites[0][[1, 1]])
+
+
+def test_best_plans_skip_what_is_not_finite():
+    costs = np.array([3.0, np.nan, 1.0, np.inf, 2.0])
+    np.testing.assert_array_equal(best_plans(costs, 2), [2, 4])
+    np.testing.assert_array_equal(best_plans(costs, 5), [2, 4, 0])
+
+
+@pytest.mark.parametrize("n_knots", [2, 7, 30])
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 3.0])
+def test_coloured_noise_has_unit_variance_and_falling_power(n_knots, exponent):
+    noise = coloured_noise(np.random.default_rng(0), (20_000, n_knots, 1), exponent)[..., 0]
+    np.testing.assert_allclose(noise.std(0), 1.0, atol=0.03)
+    power = np.square(np.abs(np.fft.rfft(noise))).mean(0)
+    if n_knots == 30:  # power at frequencies 2 / K and 8 / K
+        assert power[2] / power[8] == pytest.approx(4.0**exponent, rel=0.1)
 
 
 def test_noise_has_the_stated_scale_and_correlation():
@@ -106,7 +197,7 @@ def test_too_many_knots_are_refused():
 
 def test_search_imports_nothing_but_numpy():
     code = (
-        "import sys, planners.mppi; "
+        "import sys, planners.mppi, planners.cem, planners.icem, planners.predictive_sampling; "
         "heavy = {'torch', 'mujoco', 'casadi', 'gymnasium', 'scipy'} & set(sys.modules); "
         "assert not heavy, heavy"
     )

@@ -1,0 +1,46 @@
+"""What the search algorithms share: time-correlated noise and choosing the best plans. Numpy only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def correlated_noise(rng: np.random.Generator, shape: tuple[int, int, int], correlation: float) -> np.ndarray:
+    """Unit-variance Gaussian noise ``(N, K, U)`` with AR(1) correlation along K."""
+    noise = rng.standard_normal(shape)
+    fresh = np.sqrt(1.0 - correlation**2)
+    for k in range(1, shape[1]):
+        noise[:, k] = correlation * noise[:, k - 1] + fresh * noise[:, k]
+    return noise
+
+
+def coloured_noise(rng: np.random.Generator, shape: tuple[int, int, int], exponent: float) -> np.ndarray:
+    """Unit-variance Gaussian noise ``(N, K, U)`` whose power falls as 1 / frequency^exponent along K.
+
+    Timmer and Koenig 1995: white noise in the frequency domain, scaled and transformed back.
+    Exponent 0 is white; 2 to 3 gives the smooth, far-reaching motions that arms need (iCEM).
+    The lowest frequency of K samples, 1 / K, also stands for the mean.
+    """
+    n, n_knots, n_controls = shape
+    if n_knots == 1:
+        return rng.standard_normal(shape)
+    frequencies = np.fft.rfftfreq(n_knots)
+    frequencies[0] = 1.0 / n_knots
+    amplitudes = frequencies ** (-exponent / 2.0)
+    size = (n, n_controls, len(amplitudes))
+    spectrum = amplitudes * (rng.standard_normal(size) + 1j * rng.standard_normal(size))
+    # The mean, and for even K the highest frequency, have no imaginary part.
+    power = 2.0 * amplitudes**2
+    for real in (0, *((-1,) if n_knots % 2 == 0 else ())):
+        spectrum[..., real] = np.sqrt(2.0) * spectrum[..., real].real
+    power[0] /= 2.0
+    if n_knots % 2 == 0:
+        power[-1] /= 2.0
+    deviation = np.sqrt(2.0 * power.sum()) / n_knots
+    return np.fft.irfft(spectrum, n_knots).transpose(0, 2, 1) / deviation
+
+
+def best_plans(costs: np.ndarray, n: int) -> np.ndarray:
+    """Indices of the ``n`` lowest finite costs, best first; fewer if fewer are finite."""
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
+    return order[: min(n, int(np.isfinite(costs).sum()))]
