@@ -93,7 +93,7 @@ def learning_table() -> list[str]:
             if runs.get(method):
                 last = [run["curve"][-1] for run in runs[method]]
                 summaries = [
-                    describe(*interquartile_mean([row[k] for row in last]))
+                    describe(*interquartile_mean([row[k] for row in last])) if all(k in row for row in last) else "-"
                     for k in ("success_rate", "any_success_rate", "max_reward")
                 ]
                 first = [_first_full(run["curve"]) for run in runs[method]]
