@@ -13,6 +13,7 @@ from typing import Any
 
 from napsp.checkpoint import write_atomically, write_json
 from napsp.config import TrainConfig
+from napsp.envs import file_name
 from napsp.progress import read_rows
 from napsp.record import RECORD_FILE
 from napsp.train import train
@@ -28,7 +29,7 @@ class BusyError(Exception):
 
 def cell_name(config: TrainConfig) -> str:
     """Name of a cell: equal configurations share it."""
-    return f"{config.env}-{config.method}-s{config.seed}-{config.hash()}"
+    return f"{file_name(config.env)}-{config.method}-s{config.seed}-{config.hash()}"
 
 
 @contextmanager

@@ -247,7 +247,7 @@ def main() -> int:
     """Run the command."""
     config, options = parse(sys.argv[1:])
     torch.set_num_threads(options.threads)
-    folder = options.out or Path("runs") / f"{config.env}-{config.method}-s{config.seed}"
+    folder = options.out or Path("runs") / f"{tasks.file_name(config.env)}-{config.method}-s{config.seed}"
     print(f"{config.env}: {config.method}, seed {config.seed}, {config.n_episodes} episodes -> {folder}")
     if options.threads < 1:
         raise UserError(f"--threads is {options.threads}; it must be at least 1")

@@ -26,6 +26,7 @@ def run(planner: str, arguments: list[str]) -> int:
     """
     import torch
 
+    from napsp.envs import file_name
     from planners.report import Report
     from planners.session import Session
     from planners.video import Video
@@ -33,7 +34,8 @@ def run(planner: str, arguments: list[str]) -> int:
     options = tyro.cli(OPTIONS[planner], args=arguments, prog=f"python -m planners.{planner}")
     torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
     session = Session.open(planner, options)
-    folder = options.out or Path("plans") / f"{session.env_name}-{planner}-{options.cost}-s{options.seed}"
+    default = f"{file_name(session.env_name)}-{planner}-{options.cost}-s{options.seed}"
+    folder = options.out or Path("plans") / default
     folder.mkdir(parents=True, exist_ok=True)
     report = Report(folder, session)
     report.announce()

@@ -33,7 +33,8 @@ class PlanOptions:
 
     env: str = "fetch_wall"
     """Task: point_maze, point_maze_long, fetch_reach, fetch_wall (= fetch_reach_wall),
-    fetch_pick_place, fetch_pick_place_wall or claw."""
+    fetch_pick_place, fetch_pick_place_wall or claw;
+    a Gymnasium id such as FetchPush-v4, or your own module:Class."""
     episodes: int = 10
     """Episodes to run, on the seeds seed, seed + 1, ..."""
     seed: int = 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+from functools import partial
 from typing import Any
 
 import farama_notifications
@@ -49,28 +51,103 @@ ALIASES = {
 }
 
 
+DEFAULT_EPISODE_LENGTH = 50  # of a class given as module:Class that names none
+
+
 def canonical_name(name: str) -> str:
     """Resolve an alias or a Gymnasium id to a task name.
+
+    Other registered ids (``FetchPush-v4``) and classes (``my_module:MyEnv``) name themselves.
 
     Raises:
         UserError: the name is unknown; the message lists the known ones.
     """
     by_id = {task[0]: short for short, task in TASKS.items()}
     name = ALIASES.get(name, by_id.get(name, name))
-    if name not in TASKS:
-        known = ", ".join([*TASKS, *ALIASES])
-        raise UserError(f"unknown environment {name!r}; choose one of: {known}")
-    return name
+    if name in TASKS:
+        return name
+    if ":" in name:
+        _load_class(name)
+        return name
+    if name.startswith("Fetch") or "Hand" in name:
+        import gymnasium_robotics
+
+        gymnasium.register_envs(gymnasium_robotics)
+    if name in gymnasium.registry:
+        return name
+    known = ", ".join([*TASKS, *ALIASES])
+    raise UserError(
+        f"unknown environment {name!r}; choose one of: {known}, a registered Gymnasium id, or your own module:Class"
+    )
 
 
 def episode_length(name: str) -> int:
-    """Control steps per episode of a task."""
-    return TASKS[canonical_name(name)][3]
+    """Control steps per episode of a task.
+
+    Raises:
+        UserError: the task has no time limit.
+    """
+    name = canonical_name(name)
+    if name in TASKS:
+        return TASKS[name][3]
+    if ":" in name:
+        return int(getattr(_load_class(name), "max_episode_steps", DEFAULT_EPISODE_LENGTH))
+    steps = gymnasium.spec(name).max_episode_steps
+    if steps is None:
+        raise UserError(f"{name} has no time limit; register it with max_episode_steps")
+    return steps
 
 
 def make(name: str, **kwargs: Any) -> gymnasium.Env:
-    """Create a task by short name, alias or Gymnasium id, with its time limit."""
-    return gymnasium.make(TASKS[canonical_name(name)][0], **kwargs)
+    """Create a task with its time limit.
+
+    Raises:
+        UserError: unknown, or an environment that cannot be planned in.
+    """
+    name = canonical_name(name)
+    if name in TASKS:
+        return gymnasium.make(TASKS[name][0], **kwargs)
+    load = _load_class(name) if ":" in name else partial(gymnasium.make, name)
+    try:
+        env: Any = load(**kwargs)
+    except Exception as error:
+        raise UserError(f"{name} could not be created ({error}); check it with gymnasium.make first") from error
+    missing = [member for member in REQUIRED if not hasattr(env.unwrapped, member)]
+    if missing:
+        env.close()
+        env = _adapt(name, load, missing, **kwargs)
+    return gymnasium.wrappers.TimeLimit(env.unwrapped, episode_length(name))
+
+
+REQUIRED = ("dynamics", "model", "data", "reached", "compute_reward", "goal_positions", "goal_radius", "step_length")
+
+
+def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium.Env:
+    """Make a stock robot environment a task; others have to offer their dynamics themselves."""
+    from napsp.envs.adapter import RobotTask
+
+    try:
+        return RobotTask(lambda **options: load(**options).unwrapped, **kwargs)
+    except TypeError:
+        raise UserError(
+            f"{name} can not be planned in: it lacks {', '.join(missing)} and is no MujocoRobotEnv of "
+            "gymnasium-robotics; add them as the README's 'Use your own environment' shows"
+        ) from None
+
+
+def _load_class(name: str) -> Any:
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise UserError(
+            f"cannot load {name} ({error}); give module:Class and start the command in the folder that holds the module"
+        ) from None
+
+
+def file_name(name: str) -> str:
+    """A task's name for use in file names."""
+    return canonical_name(name).replace("/", "-").replace(":", "-")
 
 
 def register_all() -> None:

@@ -1,0 +1,111 @@
+"""Environments that nobody prepared for: stock robots by id, a user's class by module:Class."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mpc.rollout import RolloutEngine
+from napsp import envs
+from napsp.config import preset
+from napsp.envs.dynamics import get_state
+from napsp.errors import UserError
+
+STOCK = ["FetchPush-v4", "FetchPickAndPlace-v4", "HandReach-v3"]
+USER_MODULE = """
+from napsp.envs.point_maze import PointMazeEnv
+
+class BigMaze(PointMazeEnv):
+    max_episode_steps = 12
+
+    def __init__(self, **kwargs):
+        super().__init__(scale=2.0, **kwargs)
+"""
+
+
+@pytest.mark.parametrize("name", STOCK)
+def test_stock_robots_plan_exactly(name):
+    env = envs.make(name)
+    world = env.unwrapped
+    with RolloutEngine(world.dynamics, 2) as engine:
+        for seed in range(2):
+            rng = np.random.default_rng(seed)
+            env.reset(seed=seed)
+            actions = rng.uniform(-1.2, 1.2, (4, 12, *world.action_space.shape)).astype(np.float32)
+            for action in actions[0, :4]:
+                env.step(action)
+            planned = engine.rollout(get_state(world.model, world.data), actions)
+            assert not planned.diverged.any()
+            for t in range(12):
+                observation, reward, terminated, _, info = env.step(actions[3, t])
+                np.testing.assert_array_equal(observation["observation"], planned.observations[3, t])
+                np.testing.assert_array_equal(observation["achieved_goal"], planned.achieved_goals[3, t])
+                assert reward == (0.0 if info["is_success"] else -1.0) and not terminated
+    env.close()
+
+
+def test_adapted_robots_follow_stock_up_to_the_age_of_their_poses():
+    import gymnasium
+
+    ours, stock = envs.make("FetchPush-v4"), gymnasium.make("FetchPush-v4")
+    first, _ = ours.reset(seed=3)
+    second, _ = stock.reset(seed=3)
+    np.testing.assert_array_equal(first["desired_goal"], second["desired_goal"])
+    for action in np.random.default_rng(0).uniform(-1, 1, (10, 4)).astype(np.float32):
+        first, second = ours.step(action)[0], stock.step(action)[0]
+    np.testing.assert_allclose(first["achieved_goal"], second["achieved_goal"], atol=2e-3)
+    np.testing.assert_allclose(first["observation"][:3], second["observation"][:3], atol=5e-3)
+    ours.close()
+    stock.close()
+
+
+def test_adapted_robots_serve_vectorised_rewards_and_pictures():
+    world = envs.make("FetchPush-v4").unwrapped
+    goals = np.random.default_rng(0).uniform(0, 1, (6, 5, 3))
+    rewards = world.compute_reward(goals, goals + np.array([0.0, 0.0, 0.04]), {})
+    assert rewards.shape == (6, 5) and not rewards.any()
+    assert (world.compute_reward(goals, goals + 0.1, {}) == -1).all()
+    assert world.goal_positions(np.zeros((2, 15))).shape == (2, 3) == world.goal_positions(np.zeros((2, 2))).shape
+    world.close()
+
+
+def test_episode_lengths_and_configurations_of_foreign_tasks():
+    assert envs.episode_length("HandReach-v3") == 50
+    assert preset("FetchPush-v4").env == "FetchPush-v4" and preset("FetchPush-v4").horizon == 50
+    assert envs.file_name("FetchPush-v4") == "FetchPush-v4"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nowhere:Env", "cannot load nowhere:Env"),
+        ("napsp.envs.point_maze:Missing", "cannot load"),
+        ("CartPole-v1", "can not be planned in: it lacks dynamics"),
+        ("FetchFly-v9", "unknown environment 'FetchFly-v9'"),
+    ],
+)
+def test_what_can_not_be_planned_in_is_named(name, words):
+    with pytest.raises(UserError, match=words):
+        envs.make(name)
+
+
+@pytest.mark.slow
+def test_a_class_of_the_users_own_trains_and_plans(tmp_path):
+    (tmp_path / "my_maze.py").write_text(USER_MODULE)
+    task = ["--env", "my_maze:BigMaze"]
+
+    def run(*command):
+        done = subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    options = "--n-episodes 12 --n-warmup-episodes 4 --n-evaluation-episodes 2 --evaluate-every 6 --hidden 16 16"
+    small = options.split()
+    run("napsp.train", *task, *small)
+    checkpoint = tmp_path / "runs" / "my_maze-BigMaze-ours-s0"
+    assert (checkpoint / "model.safetensors").is_file()
+    plan = ["--episodes", "1", "--samples", "8", "--no-video", "--horizon", "4"]
+    assert "distance" in run("planners.mppi", *task, *plan, "--checkpoint", str(checkpoint))
+    assert "euclidean" in run("planners.icem", *task, *plan, "--cost", "euclidean")
+    assert (tmp_path / "plans" / "my_maze-BigMaze-icem-euclidean-s0" / "summary.json").is_file()
