@@ -24,7 +24,7 @@ from napsp.episodes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.greedy import GreedyPolicy
 from napsp.statistics import describe, wilson_interval
-from planners.options import OPTIONS
+from planners.options import OPTIONS, PlanOptions
 from planners.session import Session
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -59,6 +59,13 @@ def plan_episodes(session: Session, seeds: list[int]) -> tuple[list[bool], list[
     return [r.success for r in results], hits, float(np.median(np.concatenate([r.plan_ms for r in results])))
 
 
+def plan_options(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> PlanOptions:
+    """The planner of a cell."""
+    return OPTIONS["mppi"](
+        env=env_name, samples=options.samples, seed=options.seed, checkpoint=checkpoint, **VARIANTS[variant]
+    )
+
+
 def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> dict[str, Any]:
     """Run one cell of the table."""
     seeds = [options.seed + i for i in range(options.episodes)]
@@ -69,10 +76,7 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
         success, hits = result.reached[:, -1].tolist(), result.first_hits[~np.isnan(result.first_hits)].tolist()
         milliseconds = 0.0
     else:
-        settings = OPTIONS["mppi"](
-            env=env_name, samples=options.samples, seed=options.seed, checkpoint=checkpoint, **VARIANTS[variant]
-        )
-        session = Session.open("mppi", settings)
+        session = Session.open("mppi", plan_options(env_name, variant, checkpoint, options))
         success, hits, milliseconds = plan_episodes(session, seeds)
         session.close()
     return {
@@ -96,8 +100,9 @@ def main() -> int:
             config = preset(env_name, seed=training_seed) if needs_model else None
             key = {
                 "env": env_name, "variant": variant, "training_seed": training_seed,
-                "training_hash": config.hash() if config else "", "samples": options.samples,
-                "episodes": options.episodes, "seed": options.seed,
+                "training_hash": config.hash() if config else "",
+                "planner_hash": plan_options(env_name, variant, None, options).hash() if settings else "",
+                "samples": options.samples, "episodes": options.episodes, "seed": options.seed,
             }  # fmt: skip
             row = find(read_results(path), key)
             if row is None:

@@ -154,13 +154,13 @@ class TrainConfig:
     def hash(self) -> str:
         """Short hash of everything but the seed: equal hashes ask the same question.
 
-        Options at their defaults do not enter, so that adding one leaves old hashes valid.
+        Options added after results existed do not enter at the value that means what was done before.
         """
-        defaults = {field.name: field.default for field in dataclasses.fields(self)}
-        asked = {k: v for k, v in dataclasses.asdict(self).items() if k != "seed" and v != defaults[k]}
+        asked = {k: v for k, v in self.to_dict().items() if k != "seed" and (k not in ADDED or v != ADDED[k])}
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
 
 
+ADDED = {"agent": "sac", "action_noise": 0.2, "action_penalty": 1.0, "rescale": False}
 MANY, TINY = 10**9, 1e-12
 RANGES: dict[str, tuple[float, float]] = {
     "seed": (0, 2**31 - 1),

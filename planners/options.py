@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+import json
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
+from napsp.envs import canonical_name
 from napsp.errors import UserError
 
 CostName = Literal["distance", "euclidean", "sparse"]
@@ -74,6 +77,18 @@ class PlanOptions:
     """How many episodes the video shows."""
     threads: int | None = None
     """Simulation threads; default all cores. Plans do not depend on it."""
+
+    def hash(self) -> str:
+        """Short hash of how plans are made: equal hashes plan alike with equal checkpoints and seeds."""
+        elsewhere = ("episodes", "seed", "checkpoint", "out", "video", "video_episodes", "threads")
+        asked = {k: v for k, v in asdict(self).items() if k not in elsewhere and (k not in ADDED or v != ADDED[k])}
+        asked |= {"env": canonical_name(self.env), "horizon": self.steps_ahead}
+        return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
+
+    @property
+    def steps_ahead(self) -> int:
+        """H, control steps per plan."""
+        return self.horizon or HORIZONS.get(canonical_name(self.env), DEFAULT_HORIZON)
 
     def __post_init__(self) -> None:
         for name, (low, high) in RANGES.items():
@@ -159,3 +174,6 @@ HORIZONS = {
     **dict.fromkeys(("fetch_pick_place_plain", "fetch_pick_place_wall_plain"), 15),
     "claw": 10,
 }
+DEFAULT_HORIZON = 8  # of tasks without an entry
+# Options added after results existed, with the value that means what was done before; see PlanOptions.hash.
+ADDED: dict[str, object] = {}

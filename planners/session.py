@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import inspect
-import json
 import time
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -23,7 +21,7 @@ from napsp.greedy import GreedyPolicy
 from planners.cem import CEM
 from planners.icem import ICEM
 from planners.mppi import MPPI
-from planners.options import HORIZONS, PlanOptions
+from planners.options import PlanOptions
 from planners.predictive_sampling import PredictiveSampling
 from planners.video import Video
 
@@ -81,7 +79,7 @@ class Session:
             raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
         env = tasks.make(env_name)
         world: Any = env.unwrapped
-        horizon = options.horizon or HORIZONS.get(env_name, 8)
+        horizon = options.steps_ahead
         if options.knots is not None and options.knots > horizon:
             raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
         _check_goal(options.goal, world)
@@ -150,15 +148,13 @@ class Session:
         """What identifies the session, for ``summary.json``."""
         config = {k: str(v) if hasattr(v, "__fspath__") else v for k, v in asdict(self.options).items()}
         config |= {"env": self.env_name, "horizon": self.horizon}
-        asked = {k: v for k, v in config.items() if k not in ("seed", "out", "video", "video_episodes", "threads")}
-        digest = hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
         return {
             "env": self.env_name,
             "planner": self.planner,
             "cost": self.options.cost,
             "seed": self.options.seed,
             "config": config,
-            "config_hash": digest,
+            "config_hash": self.options.hash(),
             "revision": git_revision(),
             "checkpoint": self.model.header if self.model else None,
         }
