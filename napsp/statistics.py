@@ -33,6 +33,17 @@ def interquartile_mean(values: Sequence[float]) -> tuple[float, tuple[float, flo
     return mean, (float(interval.low), float(interval.high))
 
 
+def paired_difference(first: Sequence[float], second: Sequence[float]) -> tuple[float, tuple[float, float]]:
+    """Mean of ``first - second`` over pairs, and its 95 % percentile-bootstrap interval."""
+    differences = np.asarray(first, float) - np.asarray(second, float)
+    if (differences == differences[0]).all():
+        return float(differences[0]), (float(differences[0]), float(differences[0]))
+    interval = bootstrap(
+        (differences,), np.mean, method="percentile", n_resamples=5000, rng=np.random.default_rng(0)
+    ).confidence_interval
+    return float(differences.mean()), (float(interval.low), float(interval.high))
+
+
 def describe(rate: float, interval: tuple[float, float] | None) -> str:
     """A rate and its interval as text."""
     return f"{rate:.2f}" if interval is None else f"{rate:.2f} [{interval[0]:.2f}, {interval[1]:.2f}]"

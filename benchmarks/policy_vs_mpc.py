@@ -1,0 +1,195 @@
+"""Policy against planner with the same learned distance: ``python -m benchmarks.policy_vs_mpc --env fetch_wall``.
+
+The policy alone, and every planner with that policy's d as its cost, with and without the policy's
+rollout among its samples, for several budgets - all on the same fresh episodes. ``--progress`` asks
+the same of checkpoints from early in training: a planner can use a distance long before the
+policy that learns from it works. Cells that are already in ``results/`` are not run again.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+
+from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from napsp import envs as tasks
+from napsp.checkpoint import git_revision, load_model
+from napsp.config import TrainConfig, preset
+from napsp.episodes import evaluate
+from napsp.errors import UserError, run_command
+from napsp.greedy import GreedyPolicy
+from napsp.record import save_figure
+from napsp.statistics import describe, paired_difference, wilson_interval
+from planners.options import OPTIONS, PlanOptions
+from planners.session import Session
+
+FILE = RESULTS / "policy_vs_mpc.csv"
+PLANNERS = ("mppi", "cem", "icem", "predictive_sampling")
+
+
+@dataclass(frozen=True)
+class VersusOptions:
+    """Compare the policy with planners that use the same distance."""
+
+    env: str = "fetch_wall"
+    """Task."""
+    planners: tuple[str, ...] = PLANNERS
+    """Search algorithms."""
+    budgets: tuple[int, ...] = (64,)
+    """Simulated plans per control step, over all refinements."""
+    proposals: tuple[bool, ...] = (True, False)
+    """With and without the policy's rollout among the samples."""
+    training_seed: int = 0
+    """Training seed of the checkpoint, which is trained first if it does not exist."""
+    progress: tuple[int, ...] = ()
+    """Also checkpoints of runs that stop after these many training episodes."""
+    episodes: int = 50
+    """Episodes per cell."""
+    seed: int = 90_000
+    """First episode seed; these seeds were never used for tuning."""
+
+
+def plan_options(
+    env: str, planner: str, budget: int, proposals: bool, checkpoint: Path | None, seed: int
+) -> PlanOptions:
+    """Options that simulate ``budget`` plans per control step."""
+    kind = OPTIONS[planner]
+    refinements = kind.refinements
+    shares = sum(getattr(kind, "decay", 1.0) ** -i for i in range(refinements))
+    samples = max(1, round(budget / shares))
+    elites = {"elites": min(kind.elites, max(2, samples // 4))} if hasattr(kind, "elites") else {}
+    return kind(env=env, samples=samples, proposals=proposals, checkpoint=checkpoint, seed=seed, **elites)
+
+
+def run_policy(env_name: str, checkpoint: Path, seeds: list[int]) -> dict[str, Any]:
+    """The policy alone on every seed."""
+    model, env = load_model(checkpoint, env_name), tasks.make(env_name)
+    result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
+    hits = [None if np.isnan(hit) else int(hit) for hit in result.first_hits]
+    return _figures(result.reached[:, -1].tolist(), hits, 0.0)
+
+
+def run_planner(options: PlanOptions, planner: str, seeds: list[int]) -> dict[str, Any]:
+    """A planner on every seed."""
+    session = Session.open(planner, options)
+    results = [session.run_episode(seed) for seed in seeds]
+    session.close()
+    milliseconds = float(np.median(np.concatenate([result.plan_ms for result in results])))
+    return _figures([r.success for r in results], [r.first_hit for r in results], milliseconds)
+
+
+def _figures(success: list[bool], hits: list[int | None], milliseconds: float) -> dict[str, Any]:
+    found = [hit for hit in hits if hit is not None]
+    return {
+        "success_rate": float(np.mean(success)),
+        "any_success_rate": len(found) / len(hits),
+        "mean_steps_to_goal": float(np.mean(found)) if found else "",
+        "plan_ms_median": milliseconds,
+        "successes": "".join(str(int(s)) for s in success),
+        "first_hits": " ".join("-" if hit is None else str(hit) for hit in hits),
+    }
+
+
+def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
+    """Configuration, planner ("policy" for none), budget, proposals."""
+    env_name, found = tasks.canonical_name(options.env), []
+    configs = [preset(env_name, seed=options.training_seed)]
+    configs += [preset(env_name, seed=options.training_seed, n_episodes=n) for n in options.progress]
+    for config in configs:
+        found.append((config, "policy", 0, False))
+        for planner in options.planners:
+            for budget in options.budgets:
+                found += [(config, planner, budget, proposals) for proposals in options.proposals]
+    return found
+
+
+def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, options: VersusOptions) -> dict[str, str]:
+    """The row of a cell; run if it is not there yet."""
+    settings = plan_options(config.env, planner, budget, proposals, None, options.seed) if budget else None
+    key = {
+        "env": config.env, "planner": planner, "budget": budget, "proposals": int(proposals),
+        "training_seed": config.seed, "training_episodes": config.n_episodes, "training_hash": config.hash(),
+        "planner_hash": settings.hash() if settings else "", "episodes": options.episodes, "seed": options.seed,
+    }  # fmt: skip
+    row = find(read_results(FILE), key)
+    if row is None:
+        checkpoint, seeds = trained(config), [options.seed + i for i in range(options.episodes)]
+        if settings is None:
+            figures = run_policy(config.env, checkpoint, seeds)
+        else:
+            settings = plan_options(config.env, planner, budget, proposals, checkpoint, options.seed)
+            figures = run_planner(settings, planner, seeds)
+        append_result(FILE, {**key, **figures, "revision": git_revision()})
+        row = find(read_results(FILE), key)
+    assert row is not None
+    return dict(row)
+
+
+def draw(env_name: str) -> Path | None:
+    """Success against samples per step, and against training episodes, from the rows of a task."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    rows = [row for row in read_results(FILE) if row["env"] == env_name]
+    figure, axes = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
+    last = max(int(row["training_episodes"]) for row in rows)
+    for axis, x in zip(axes, ("budget", "training_episodes"), strict=True):
+        lines: dict[str, list[tuple[int, float]]] = {}
+        for row in rows:
+            name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
+            if (int(row["training_episodes"]) == last) if x == "budget" else (row["budget"] in ("0", "64")):
+                lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
+        for name, points in lines.items():
+            if name == "policy" and x == "budget":
+                axis.axhline(points[0][1], color="black", linestyle=":", label=name)
+            else:
+                axis.plot(*zip(*sorted(points), strict=True), marker="o", markersize=3, label=name)
+        axis.set(
+            xlabel={"budget": "plans per control step"}.get(x, "training episodes"), ylabel="success", ylim=(0, 1.05)
+        )
+        axis.legend(fontsize=6)
+    figure.suptitle(env_name, fontsize=10)
+    path = RESULTS / f"policy_vs_mpc_{tasks.file_name(env_name)}.png"
+    save_figure(figure, path)
+    return path
+
+
+def main() -> int:
+    """Run missing cells, print the table, draw the figure."""
+    options = tyro.cli(VersusOptions, prog="python -m benchmarks.policy_vs_mpc")
+    if options.episodes < 1 or min(options.budgets, default=0) < 8:
+        raise UserError("--episodes must be at least 1 and every budget at least 8")
+    unknown = set(options.planners) - set(PLANNERS)
+    if unknown:
+        raise UserError(f"unknown planner {unknown.pop()!r}; choose from: {', '.join(PLANNERS)}")
+    torch.set_num_threads(1)
+    policy: dict[int, str] = {}
+    for config, planner, budget, proposals in cells(options):
+        row = run_cell(config, planner, budget, proposals, options)
+        n, successes = len(row["successes"]), row["successes"]
+        policy.setdefault(config.n_episodes, successes)
+        interval = describe(float(row["success_rate"]), wilson_interval(successes.count("1"), n))
+        mean, (low, high) = paired_difference(_bits(successes), _bits(policy[config.n_episodes]))
+        name = f"{planner}{' + policy' if proposals else ''}"
+        print(f"{config.env} after {config.n_episodes} episodes  {name:30s} {budget:5d} plans  success {interval}  "
+              f"minus policy {mean:+.2f} [{low:+.2f}, {high:+.2f}]  {float(row['plan_ms_median']):.0f} ms",
+              flush=True)  # fmt: skip
+    print(f"picture: {draw(tasks.canonical_name(options.env))}")
+    return 0
+
+
+def _bits(text: str) -> list[float]:
+    return [float(character) for character in text]
+
+
+if __name__ == "__main__":
+    run_command(main)
+    sys.exit(0)
