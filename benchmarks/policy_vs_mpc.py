@@ -59,7 +59,7 @@ def plan_options(
     env: str, planner: str, budget: int, proposals: bool, checkpoint: Path | None, seed: int
 ) -> PlanOptions:
     """Options that simulate ``budget`` plans per control step."""
-    kind = OPTIONS[planner]
+    kind: Any = OPTIONS[planner]
     refinements = kind.refinements
     shares = sum(getattr(kind, "decay", 1.0) ** -i for i in range(refinements))
     samples = max(1, round(budget / shares))
