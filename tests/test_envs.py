@@ -11,7 +11,7 @@ from conftest import TASKS
 from gymnasium.utils.env_checker import check_env
 
 from napsp import envs
-from napsp.envs.fetch import FetchReachEnv
+from napsp.envs.fetch import FetchReachEnv, FetchReachWallEnv
 from napsp.errors import UserError
 
 
@@ -169,3 +169,8 @@ def test_stable_baselines3_trains_with_her(name):
     model.learn(steps + 60)
     assert model.num_timesteps == steps + 60
     env.close()
+
+
+def test_a_wall_needs_the_filtered_robot():
+    with pytest.raises(ValueError, match="does not go with a wall"):
+        FetchReachWallEnv(arm_self_collision=True)

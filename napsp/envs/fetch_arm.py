@@ -210,6 +210,8 @@ class Walled:
     START_GRIP = np.array([1.34, 0.60, 0.50])
 
     def __init__(self, wall_height: float, **kwargs: Any) -> None:
+        if kwargs.get("arm_self_collision"):
+            raise ValueError("arm_self_collision=True does not go with a wall: the wall runs through the robot's base")
         self.wall_height = wall_height
         super().__init__(**kwargs)
 
