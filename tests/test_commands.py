@@ -16,7 +16,7 @@ from napsp.statistics import wilson_interval
 from planners.cli import run
 
 ROOT = Path(__file__).parent.parent
-SHIPPED = ("point_maze", "fetch_reach", "fetch_wall")
+SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw")
 
 
 def command(*arguments, **environment):
