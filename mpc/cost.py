@@ -8,6 +8,7 @@ Euclidean distance, or nothing at all (sparse).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -69,6 +70,26 @@ class EuclideanSteps:
     ) -> np.ndarray:
         """Steps ``(B,)``: metres to the goal over metres per control step."""
         return np.linalg.norm(achieved_goals - goal, axis=-1) / self._step_length
+
+
+class GivenSteps:
+    """An estimate that reads the achieved goal alone: true shortest paths, or a function of the user's own.
+
+    Args:
+        steps: maps achieved goals ``(B, G)`` and one goal ``(G,)`` to steps ``(B,)``.
+    """
+
+    def __init__(self, steps: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+        self._steps = steps
+
+    def __call__(
+        self, observations: np.ndarray, achieved_goals: np.ndarray, actions: np.ndarray | None, goal: np.ndarray
+    ) -> np.ndarray:
+        """Steps ``(B,)``."""
+        steps = np.asarray(self._steps(achieved_goals, goal), np.float64)
+        if steps.shape != (len(achieved_goals),):
+            raise ValueError(f"the cost function returned shape {steps.shape}; it must return {(len(achieved_goals),)}")
+        return steps
 
 
 class NoSteps:

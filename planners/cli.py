@@ -34,7 +34,7 @@ def run(planner: str, arguments: list[str]) -> int:
     options = tyro.cli(OPTIONS[planner], args=arguments, prog=f"python -m planners.{planner}")
     torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
     session = Session.open(planner, options)
-    default = f"{file_name(session.env_name)}-{planner}-{options.cost}-s{options.seed}"
+    default = f"{file_name(session.env_name)}-{planner}-{options.cost.replace(':', '-')}-s{options.seed}"
     folder = options.out or Path("plans") / default
     folder.mkdir(parents=True, exist_ok=True)
     report = Report(folder, session)

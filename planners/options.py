@@ -11,7 +11,7 @@ from typing import Literal
 from napsp.envs import canonical_name
 from napsp.errors import UserError
 
-CostName = Literal["distance", "euclidean", "sparse"]
+COSTS = ("distance", "euclidean", "sparse", "shortest_path")
 
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -45,9 +45,11 @@ class PlanOptions:
     goal: tuple[float, ...] | None = None
     """One fixed goal for all episodes instead of the task's random ones, in metres
     (claw: sine and cosine of the valve's angle)."""
-    cost: CostName = "distance"
-    """Steps to go at a state: the learned distance, straight-line distance at full speed,
-    or nothing (sparse: only reaching the goal within the horizon counts)."""
+    cost: str = "distance"
+    """Steps to go at a state: distance (the learned one), euclidean (straight line at full speed),
+    sparse (nothing: only reaching the goal within the horizon counts), shortest_path (the true one,
+    mazes only), or a function of your own as module:function, which maps achieved goals (B, G) and
+    a goal (G,) to steps (B,)."""
     where: Literal["terminal", "mean", "both"] = "mean"
     """Where the plan is charged for its steps to go: at its end, on average along it, or both."""
     action_of: Literal["policy", "plan"] = "policy"
@@ -91,6 +93,8 @@ class PlanOptions:
         return self.horizon or HORIZONS.get(canonical_name(self.env), DEFAULT_HORIZON)
 
     def __post_init__(self) -> None:
+        if self.cost not in COSTS and ":" not in self.cost:
+            raise UserError(f"unknown cost {self.cost!r}; choose one of: {', '.join(COSTS)}, or module:function")
         for name, (low, high) in RANGES.items():
             value = getattr(self, name, None)
             if value is not None and not low <= value <= high:  # false for NaN as well

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from mpc.controller import Controller, Plan, Planner
-from mpc.cost import Cost, EuclideanSteps, LearnedSteps, NoSteps, StepsToGo
+from mpc.cost import Cost, EuclideanSteps, GivenSteps, LearnedSteps, NoSteps, StepsToGo
 from mpc.rollout import RolloutEngine
 from mpc.speed import raw_speed_fraction
 from napsp import envs as tasks
 from napsp.checkpoint import Model, git_revision, load_model, shipped_model
 from napsp.envs.dynamics import get_state
-from napsp.errors import UserError
+from napsp.errors import UserError, load_object
 from napsp.greedy import GreedyPolicy
 from planners.cem import CEM
 from planners.icem import ICEM
@@ -182,6 +182,12 @@ def _check_goal(goal: tuple[float, ...] | None, env: Any) -> None:
 def _steps_to_go(options: PlanOptions, model: Model | None, world: Any) -> StepsToGo:
     if options.cost == "distance" and model is not None:
         return LearnedSteps(model)
+    if options.cost == "shortest_path":
+        if not hasattr(world, "shortest_steps"):
+            raise UserError(f"the true shortest path of {options.env} is not known; use --cost euclidean or distance")
+        return GivenSteps(world.shortest_steps)
+    if ":" in options.cost:
+        return GivenSteps(load_object(options.cost))
     return EuclideanSteps(world.step_length) if options.cost == "euclidean" else NoSteps()
 
 

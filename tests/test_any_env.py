@@ -21,6 +21,10 @@ class BigMaze(PointMazeEnv):
 
     def __init__(self, **kwargs):
         super().__init__(scale=2.0, **kwargs)
+
+
+def far(achieved_goals, goal):
+    return abs(achieved_goals - goal).sum(-1)
 """
 
 
@@ -109,3 +113,5 @@ def test_a_class_of_the_users_own_trains_and_plans(tmp_path):
     assert "distance" in run("planners.mppi", *task, *plan, "--checkpoint", str(checkpoint))
     assert "euclidean" in run("planners.icem", *task, *plan, "--cost", "euclidean")
     assert (tmp_path / "plans" / "my_maze-BigMaze-icem-euclidean-s0" / "summary.json").is_file()
+    run("planners.cem", *task, *plan, "--samples", "12", "--cost", "my_maze:far")
+    assert (tmp_path / "plans" / "my_maze-BigMaze-cem-my_maze-far-s0" / "summary.json").is_file()

@@ -98,6 +98,9 @@ def test_options_run(options, tmp_path):
     ("arguments", "words"),
     [
         (["planners.mppi", "--env", "nope"], "unknown environment 'nope'; choose one of: point_maze"),
+        (["planners.icem", "--cost", "nope"], "unknown cost 'nope'; choose one of: distance"),
+        (["planners.cem", "--cost", "nowhere:f"], "cannot load nowhere:f"),
+        (["planners.mppi", "--cost", "shortest_path"], "the true shortest path of fetch_wall is not known"),
         (["napsp.train", "--env", "nope"], "unknown environment 'nope'"),
         (["napsp.evaluate", "--env", "nope"], "unknown environment 'nope'"),
         (["planners.mppi", "--samples", "0"], "--samples is 0; it must lie between 1"),

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from mpc.controller import Controller
-from mpc.cost import Cost, EuclideanSteps, NoSteps
+from mpc.cost import Cost, EuclideanSteps, GivenSteps, NoSteps
 from mpc.rollout import RolloutEngine, Trajectories
 from napsp.envs.dynamics import get_state
 from napsp.greedy import GreedyPolicy
@@ -208,3 +208,24 @@ def test_greedy_policy_equals_torch_and_follows_training():
     np.testing.assert_allclose(
         greedy(states.numpy(), goals.numpy()), policy.mode(states, goals).detach().numpy(), atol=1e-6
     )
+
+
+def test_shortest_steps_of_the_maze_are_those_of_a_hand_drawn_way(worlds):
+    world = worlds["point_maze"]
+    goal = np.array([0.5, 0.5])
+    same_room = np.array([[0.5, 0.5], [0.3, 0.45], [0.8, 0.2]])
+    steps = np.abs(same_room - goal).max(1) / 0.1  # both axes at once
+    np.testing.assert_allclose(world.shortest_steps(same_room, goal), steps, atol=0.35)
+    # Up through the left door (its corner at x = -0.6, y = 0.08 once inflated), then through the
+    # upper one (x = 0.08, y = 0.68): each stretch costs its longer side.
+    corners = np.array([[-0.3, -0.3], [-0.68, -0.08], [-0.68, 0.08], [-0.08, 0.68], [0.08, 0.68], [0.5, 0.5]])
+    expected = np.abs(np.diff(corners, axis=0)).max(1).sum() / 0.1
+    assert float(world.shortest_steps(corners[:1], goal)[0]) == pytest.approx(expected, abs=0.6)
+    # Symmetric, and shrinking by at most one per full-speed step.
+    there, back = world.shortest_steps(corners[:1], goal), world.shortest_steps(goal[None], corners[0])
+    assert float(there[0]) == pytest.approx(float(back[0]), abs=0.35)
+
+
+def test_given_steps_name_a_wrong_shape():
+    with pytest.raises(ValueError, match="it must return"):
+        GivenSteps(lambda achieved, goal: np.zeros(3))(np.zeros((5, 2)), np.zeros((5, 2)), None, np.zeros(2))

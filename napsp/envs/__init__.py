@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from functools import partial
 from typing import Any
 
@@ -13,7 +12,7 @@ farama_notifications.notifications.pop("gymnasium_robotics", None)
 
 import gymnasium  # noqa: E402
 
-from napsp.errors import UserError  # noqa: E402
+from napsp.errors import UserError, load_object  # noqa: E402
 
 TASKS: dict[str, tuple[str, str, dict, int]] = {
     # name: (Gymnasium id, entry point, keyword arguments, episode length in control steps)
@@ -67,7 +66,7 @@ def canonical_name(name: str) -> str:
     if name in TASKS:
         return name
     if ":" in name:
-        _load_class(name)
+        load_object(name)
         return name
     if name.startswith("Fetch") or "Hand" in name:
         import gymnasium_robotics
@@ -91,7 +90,7 @@ def episode_length(name: str) -> int:
     if name in TASKS:
         return TASKS[name][3]
     if ":" in name:
-        return int(getattr(_load_class(name), "max_episode_steps", DEFAULT_EPISODE_LENGTH))
+        return int(getattr(load_object(name), "max_episode_steps", DEFAULT_EPISODE_LENGTH))
     steps = gymnasium.spec(name).max_episode_steps
     if steps is None:
         raise UserError(f"{name} has no time limit; register it with max_episode_steps")
@@ -107,7 +106,7 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
     name = canonical_name(name)
     if name in TASKS:
         return gymnasium.make(TASKS[name][0], **kwargs)
-    load = _load_class(name) if ":" in name else partial(gymnasium.make, name)
+    load = load_object(name) if ":" in name else partial(gymnasium.make, name)
     try:
         env: Any = load(**kwargs)
     except Exception as error:
@@ -132,16 +131,6 @@ def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium
         raise UserError(
             f"{name} can not be planned in: it lacks {', '.join(missing)} and is no MujocoRobotEnv of "
             "gymnasium-robotics; add them as the README's 'Use your own environment' shows"
-        ) from None
-
-
-def _load_class(name: str) -> Any:
-    module, _, attribute = name.partition(":")
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise UserError(
-            f"cannot load {name} ({error}); give module:Class and start the command in the folder that holds the module"
         ) from None
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from napsp.envs.geodesic import ShortestPaths
 from napsp.envs.open_loop import OpenLoopDynamics, OpenLoopEnv
 
 WALL_HALF_THICKNESS = 0.03
@@ -98,6 +99,15 @@ class PointMazeEnv(OpenLoopEnv):
     def __init__(self, scale: float = 1.0, render_mode: str | None = None) -> None:
         self.scale = scale
         super().__init__(PointMazeDynamics(_build_model(scale)), 0.1 * scale, render_mode)
+        self._paths: ShortestPaths | None = None
+
+    def shortest_steps(self, positions: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Steps ``(...)`` of the shortest way around the walls from positions ``(..., 2)``, at full speed."""
+        if self._paths is None:
+            margin = WALL_HALF_THICKNESS + POINT_RADIUS
+            boxes = self.scale * np.array(INNER_WALLS + OUTER_WALLS) + [0.0, 0.0, margin, margin]
+            self._paths = ShortestPaths(self.scale, boxes, self.step_length)
+        return self._paths.steps(positions, goal)
 
     def _start(self) -> None:
         """At rest in the lower left room; a goal in the upper right room."""
