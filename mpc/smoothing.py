@@ -7,7 +7,7 @@ as cost, and rolls the answer out: it is kept only if the true objective did not
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -32,7 +32,7 @@ class SmoothingConfig:
     effort: float = 0.01
     """Weight of the squared actions."""
     distance: float = 1.0
-    """Least weight of d; it is raised while the model expects the cost to rise."""
+    """Weight of d."""
     along: bool = True
     """Read d where the planner's cost reads it; otherwise at the end of the plan only."""
     trust: float = 0.3
@@ -96,7 +96,6 @@ class Smoother:
 
     FRACTIONS = (1.0, 0.5, 0.25, 0.1)
     MIN_TRUST, MAX_TRUST = 0.05, 1.0
-    PRICE_RAISES, MAX_PRICE = 2, 1e3
 
     def __init__(
         self,
@@ -114,7 +113,7 @@ class Smoother:
         started = time.perf_counter()
         weights = cost.weights(horizon) if self.config.along else np.eye(horizon)[-1]
         self._read = np.flatnonzero(weights)
-        self._weights = weights[self._read]
+        self._weights = self.config.distance * weights[self._read]
         self._roughness = Roughness(self.config.rate, self.config.jerk, self.config.effort)
         self._solver: Solver = SOLVERS[self.config.solver](self.distance, horizon * n_actions, len(self._read))
         self.statistics.build_ms = 1e3 * (time.perf_counter() - started)
@@ -122,7 +121,7 @@ class Smoother:
 
     def reset(self) -> None:
         """A new episode: forget what was learned about the reach of the linear model."""
-        self.trust, self.price = self.config.trust, self.config.distance
+        self.trust = self.config.trust
 
     def __call__(
         self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
@@ -166,7 +165,7 @@ class Smoother:
             return None, before
         started = time.perf_counter()
         try:
-            change = self._solve(self._problem(observation, linear, actions, executed, goal), linear, goal)
+            change = self._solver.solve(self._problem(observation, linear, actions, executed, goal))
         except (SolverError, RuntimeError, np.linalg.LinAlgError):  # CasADi raises RuntimeError
             self.statistics.n_solver_failures += 1
             return None, before
@@ -176,31 +175,6 @@ class Smoother:
         outcome = self._verify(state, observation, actions, executed, change.reshape(actions.shape), before)
         times[2] += 1e3 * (time.perf_counter() - started)
         return outcome, before
-
-    def _solve(self, problem: Problem, linear: Linearisation, goal: np.ndarray) -> np.ndarray:
-        """Raise the price of d until the model expects no rise of the cost; a plan that the model itself expects to
-        be worse would only be refused after the rollouts.
-        """
-        charged = problem.weights * self._outside(linear, goal)
-        now = self.distance.values(problem.points) @ charged
-        for attempt in range(self.PRICE_RAISES + 1):
-            change = self._solver.solve(replace(problem, weights=self.price * problem.weights))
-            then = self.distance.values(problem.points + problem.slopes @ change) @ charged
-            if then <= now:
-                if attempt == 0:  # there may be room for a smoother one the next time
-                    self.price = max(self.config.distance, self.price / 1.5)
-                break
-            self.price = min(3.0 * self.price, self.MAX_PRICE)
-        return change
-
-    def _outside(self, linear: Linearisation, goal: np.ndarray) -> np.ndarray:
-        """Which readings the true cost charges for: those outside the goal, bool ``(R,)``."""
-        reached = self.cost.reached(
-            linear.nominal.achieved_goals[0], np.broadcast_to(goal, (linear.nominal.achieved_goals.shape[1], len(goal)))
-        )
-        if self.cost.action_of == "plan":
-            reached = np.concatenate([[False], reached])
-        return ~reached[self._read]
 
     def _problem(
         self,
@@ -244,11 +218,11 @@ class Smoother:
         found: Trajectories = self.engine.rollout(state, plans[:, :n_simulated])
         costs = self.cost(observation, found, plans, observation["desired_goal"])
         allowed = costs <= before + self.config.tolerance
-        merit = self.price * costs + self._roughness(plans, executed)
+        merit = self.config.distance * costs + self._roughness(plans, executed)
         if self.config.accept == "smoother":
             allowed &= action_rate(plans, executed) < action_rate(actions[None], executed)
         else:
-            allowed &= merit < self.price * before + self._roughness(actions[None], executed)
+            allowed &= merit < self.config.distance * before + self._roughness(actions[None], executed)
         if not allowed.any():
             self.trust = max(self.MIN_TRUST, 0.5 * self.trust)
             return None

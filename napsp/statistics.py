@@ -33,6 +33,15 @@ def interquartile_mean(values: Sequence[float]) -> tuple[float, tuple[float, flo
     return mean, (float(interval.low), float(interval.high))
 
 
+def paired_difference(values: Sequence[float], reference: Sequence[float]) -> tuple[float, tuple[float, float]]:
+    """Mean of ``values - reference`` pair by pair, and its 95 % percentile-bootstrap interval over the pairs."""
+    differences = np.asarray(values, float) - np.asarray(reference, float)
+    interval = bootstrap(
+        (differences,), np.mean, method="percentile", n_resamples=5000, rng=np.random.default_rng(0)
+    ).confidence_interval
+    return float(differences.mean()), (float(interval.low), float(interval.high))
+
+
 def describe(rate: float, interval: tuple[float, float] | None) -> str:
     """A rate and its interval as text."""
     return f"{rate:.2f}" if interval is None else f"{rate:.2f} [{interval[0]:.2f}, {interval[1]:.2f}]"
