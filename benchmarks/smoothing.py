@@ -55,6 +55,8 @@ class SmoothingOptions:
     """Episodes per cell."""
     seed: int = 90_000
     """First episode seed; these seeds were never used for tuning."""
+    variants: tuple[str, ...] = (PLAIN, SMOOTHED, "low-pass 0.3", "low-pass 0.6", "coloured noise")
+    """Which cells; plain comes first, the others are compared with it."""
     threads: int = 1
     """Simulation threads."""
 
@@ -140,10 +142,13 @@ def main() -> int:
         raise UserError(f"unknown planner {options.planner!r}; choose mppi, cem, icem or predictive_sampling")
     env_name, path = tasks.canonical_name(options.env), RESULTS / "smoothing.csv"
     torch.set_num_threads(1)
-    coloured = {"coloured noise": COLOURED[options.planner]} if options.planner in COLOURED else {}
+    variants = VARIANTS | ({"coloured noise": COLOURED[options.planner]} if options.planner in COLOURED else {})
+    if options.variants[:1] != (PLAIN,) or not set(options.variants) <= {*VARIANTS, "coloured noise"}:
+        raise UserError(f"--variants must begin with {PLAIN} and name some of: {', '.join(variants)}")
     plain: Any = None
     shown: dict[str, EpisodeResult] = {}
-    for variant, settings in {**VARIANTS, **coloured}.items():
+    for variant in (name for name in options.variants if name in variants):
+        settings = variants[variant]
         session = open_session(options, settings)
         key = {
             "env": env_name, "planner": options.planner, "proposals": options.proposals, "variant": variant,

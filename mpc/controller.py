@@ -131,7 +131,6 @@ class Controller:
         self._shift = shift_matrix(n_knots, horizon, interpolation)
         self._proposals_from = proposals_from
         self.smoother = smoother
-        self.remembers = True
         self._executed: list[np.ndarray] = []
         self._fresh = True
         self._warned = False
@@ -185,7 +184,7 @@ class Controller:
     ) -> np.ndarray:
         executed = np.array(self._executed[-2:], np.float32).reshape(-1, plan.shape[1])
         smoothed = smoother(state, observation, plan, executed)
-        if self.remembers and smoothed.accepted and smoothed.cost is not None:
+        if smoothed.accepted and smoothed.cost is not None:
             # To the search it is one more sample: the next plan starts from it.
             self.planner.update((self._to_knots @ smoothed.actions)[None], np.array([smoothed.cost]))
         self._executed = [*self._executed[-1:], smoothed.actions[0].copy()]

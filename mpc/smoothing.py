@@ -7,6 +7,8 @@ as cost, and rolls the answer out: it is kept only if the true objective did not
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -14,7 +16,7 @@ import numpy as np
 
 from mpc.controller import Smoothed
 from mpc.cost import Cost
-from mpc.rollout import RolloutEngine, Trajectories
+from mpc.rollout import RolloutEngine
 from mpc.smoothing_distance import SmoothDistance
 from mpc.smoothing_linearise import Linearisation, linearise
 from mpc.smoothing_problem import SOLVERS, Problem, Roughness, Solver, SolverError, action_rate
@@ -120,8 +122,9 @@ class Smoother:
         self.reset()
 
     def reset(self) -> None:
-        """A new episode: forget what was learned about the reach of the linear model."""
+        """A new episode: forget the last plan, and what was learned about the reach of the linear model."""
         self.trust = self.config.trust
+        self._last: np.ndarray | None = None
 
     def __call__(
         self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
@@ -135,59 +138,85 @@ class Smoother:
             executed: the last actions, ``(k, A)``, k <= 2, the latest last.
         """
         self.statistics.n_calls += 1
-        current = Smoothed(np.clip(actions, -1.0, 1.0), None, False)
-        times = np.zeros(3)
-        first = np.nan
-        for _ in range(self.config.rounds):
-            outcome = self._round(state, observation, current.actions, executed, times)
-            first = outcome[1] if np.isnan(first) else first
-            if outcome[0] is None:
+        times = {"linearise": 0.0, "solve": 0.0, "verify": 0.0}
+        with _clock(times, "verify"):
+            task = self._start(state, observation, np.clip(actions, -1.0, 1.0), executed)
+        for _ in range(self.config.rounds if np.isfinite(task.before) else 0):
+            if not self._improve(task, times):
                 break
-            current = outcome[0]
-        self._record(current, first, times)
-        return current
+        self._last = task.plan
+        self._record(task, times)
+        return Smoothed(task.plan, task.cost, task.plan is not task.sampled)
 
-    def _round(
-        self,
-        state: np.ndarray,
-        observation: dict[str, np.ndarray],
-        actions: np.ndarray,
-        executed: np.ndarray,
-        times: np.ndarray,
-    ) -> tuple[Smoothed | None, float]:
-        """One linearisation; the better plan, or None, and the true objective before."""
-        started = time.perf_counter()
-        goal, n_simulated = observation["desired_goal"], self.cost.simulated_steps(self.horizon)
-        linear = linearise(self.engine, state, actions, n_simulated, self.config.step)
-        before = float(self.cost(observation, linear.nominal, actions[None], goal)[0])
-        times[0] += 1e3 * (time.perf_counter() - started)
-        if not np.isfinite(before):
-            return None, before
-        started = time.perf_counter()
-        try:
-            change = self._solver.solve(self._problem(observation, linear, actions, executed, goal))
-        except (SolverError, RuntimeError, np.linalg.LinAlgError):  # CasADi raises RuntimeError
-            self.statistics.n_solver_failures += 1
-            return None, before
-        finally:
-            times[1] += 1e3 * (time.perf_counter() - started)
-        started = time.perf_counter()
-        outcome = self._verify(state, observation, actions, executed, change.reshape(actions.shape), before)
-        times[2] += 1e3 * (time.perf_counter() - started)
-        return outcome, before
+    def _start(
+        self, state: np.ndarray, observation: dict[str, np.ndarray], sampled: np.ndarray, executed: np.ndarray
+    ) -> _Task:
+        """Begin with the last smoothed plan, moved on in time, where the true objective prefers it to the sampled one.
 
-    def _problem(
-        self,
-        observation: dict[str, np.ndarray],
-        linear: Linearisation,
-        actions: np.ndarray,
-        executed: np.ndarray,
-        goal: np.ndarray,
-    ) -> Problem:
+        The search shakes its plan anew at every step. Where that brings nothing, least of all at the goal, there is no
+        reason to follow it.
+        """
+        plans = sampled[None]
+        if self._last is not None:
+            held = np.concatenate([self._last[1:], self._last[-1:]])
+            plans = np.stack([sampled, held, 0.5 * (sampled + held)])
+        costs = self._true_costs(state, observation, plans)
+        task = _Task(state, observation, executed, sampled, float(costs[0]), sampled, float(costs[0]), np.inf)
+        task.merit = float(self._merit(plans[:1], costs[:1], executed)[0])
+        task.rate = float(action_rate(sampled[None], executed)[0])
+        self._choose(task, plans[1:], costs[1:])
+        return task
+
+    def _improve(self, task: _Task, times: dict[str, float]) -> bool:
+        """Linearise, solve and verify once; whether that gave a better plan."""
+        with _clock(times, "linearise"):
+            n_simulated = self.cost.simulated_steps(self.horizon)
+            linear = linearise(self.engine, task.state, task.plan, n_simulated, self.config.step)
+        with _clock(times, "solve"):
+            try:
+                change = self._solver.solve(self._problem(task, linear)).reshape(task.plan.shape)
+            except (SolverError, RuntimeError, np.linalg.LinAlgError):  # CasADi raises RuntimeError
+                self.statistics.n_solver_failures += 1
+                return False
+        with _clock(times, "verify"):
+            plans = task.plan + np.array(self.FRACTIONS)[:, None, None] * change
+            plans = np.clip(plans, -1.0, 1.0).astype(task.plan.dtype)
+            best = self._choose(task, plans, self._true_costs(task.state, task.observation, plans))
+        # As far as the linear model was right this time, it is trusted the next time.
+        factor = 0.5 if best is None else 1.5 if best == 0 else max(self.FRACTIONS[best], 0.5)
+        self.trust = float(np.clip(factor * self.trust, self.MIN_TRUST, self.MAX_TRUST))
+        return best is not None
+
+    def _choose(self, task: _Task, plans: np.ndarray, costs: np.ndarray) -> int | None:
+        """Replace the task's plan by the best of ``plans`` that is allowed to; its index.
+
+        Allowed is what costs no more than the sampled plan, improves on the best plan so far, and is smoother than the
+        sampled plan (or need not be).
+        """
+        merit = self._merit(plans, costs, task.executed)
+        allowed = (costs <= task.before + self.config.tolerance) & (merit < task.merit)
+        if self.config.accept == "smoother":
+            allowed &= action_rate(plans, task.executed) < task.rate
+        if not allowed.any():
+            return None
+        best = int(np.argmin(np.where(allowed, merit, np.inf)))
+        task.plan, task.cost, task.merit = plans[best], float(costs[best]), float(merit[best])
+        return best
+
+    def _true_costs(self, state: np.ndarray, observation: dict[str, np.ndarray], plans: np.ndarray) -> np.ndarray:
+        found = self.engine.rollout(state, plans[:, : self.cost.simulated_steps(self.horizon)])
+        return self.cost(observation, found, plans, observation["desired_goal"])
+
+    def _merit(self, plans: np.ndarray, costs: np.ndarray, executed: np.ndarray) -> np.ndarray:
+        """What the problem minimises, with the true objective in place of the model's."""
+        return self.config.distance * costs + self._roughness(plans, executed)
+
+    def _problem(self, task: _Task, linear: Linearisation) -> Problem:
         observations, sensitivities = linear.nominal.observations[0], linear.sensitivities
+        actions, goal = task.plan, task.observation["desired_goal"]
         n_readings, n_unknowns = len(self._read), actions.size
         if self.cost.action_of == "plan":
-            observations = np.concatenate([observation["observation"][None], observations])
+            observations = np.concatenate([task.observation["observation"][None], observations])
             sensitivities = np.concatenate([np.zeros((1, *sensitivities.shape[1:])), sensitivities])
         points, slopes = [observations[self._read]], [sensitivities[self._read]]
         if self.cost.action_of == "plan":
@@ -195,48 +224,42 @@ class Smoother:
             slopes.append(np.eye(n_unknowns).reshape(*actions.shape, n_unknowns)[self._read])
         points.append(np.broadcast_to(goal, (n_readings, len(goal))))
         slopes.append(np.zeros((n_readings, len(goal), n_unknowns)))
-        matrix, gradient, _ = self._roughness.quadratic(actions, executed)
+        matrix, gradient, _ = self._roughness.quadratic(actions, task.executed)
         lower, upper = np.maximum(-1.0 - actions, -self.trust), np.minimum(1.0 - actions, self.trust)
         return Problem(
             matrix, gradient, np.concatenate(points, 1).astype(float), np.concatenate(slopes, 1), self._weights,
             lower.ravel().astype(float), upper.ravel().astype(float),
         )  # fmt: skip
 
-    def _verify(
-        self,
-        state: np.ndarray,
-        observation: dict[str, np.ndarray],
-        actions: np.ndarray,
-        executed: np.ndarray,
-        change: np.ndarray,
-        before: float,
-    ) -> Smoothed | None:
-        """The best of the shortened changes that the true simulator and objective agree with."""
-        plans = actions + np.array(self.FRACTIONS)[:, None, None] * change
-        plans = np.clip(plans, -1.0, 1.0).astype(actions.dtype)
-        n_simulated = self.cost.simulated_steps(self.horizon)
-        found: Trajectories = self.engine.rollout(state, plans[:, :n_simulated])
-        costs = self.cost(observation, found, plans, observation["desired_goal"])
-        allowed = costs <= before + self.config.tolerance
-        merit = self.config.distance * costs + self._roughness(plans, executed)
-        if self.config.accept == "smoother":
-            allowed &= action_rate(plans, executed) < action_rate(actions[None], executed)
-        else:
-            allowed &= merit < self.config.distance * before + self._roughness(actions[None], executed)
-        if not allowed.any():
-            self.trust = max(self.MIN_TRUST, 0.5 * self.trust)
-            return None
-        best = int(np.argmin(np.where(allowed, merit, np.inf)))
-        factor = 1.5 if best == 0 else max(self.FRACTIONS[best], 0.5)
-        self.trust = float(np.clip(factor * self.trust, self.MIN_TRUST, self.MAX_TRUST))
-        return Smoothed(plans[best], float(costs[best]), True)
-
-    def _record(self, result: Smoothed, before: float, times: np.ndarray) -> None:
+    def _record(self, task: _Task, times: dict[str, float]) -> None:
         s = self.statistics
-        after = before if result.cost is None else result.cost
-        s.n_accepted += result.accepted
-        s.n_risen += bool(after > before)
-        s.before.append(before)
-        s.after.append(after)
-        for name, value in zip(("linearise_ms", "solve_ms", "verify_ms"), times, strict=True):
-            getattr(s, name).append(float(value))
+        s.n_accepted += task.plan is not task.sampled
+        s.n_risen += bool(task.cost > task.before)
+        s.before.append(task.before)
+        s.after.append(task.cost)
+        for name, value in times.items():
+            getattr(s, f"{name}_ms").append(value)
+
+
+@dataclass
+class _Task:
+    """One call's plan on its way: what was sampled, and the best so far."""
+
+    state: np.ndarray
+    observation: dict[str, np.ndarray]
+    executed: np.ndarray
+    sampled: np.ndarray
+    before: float
+    plan: np.ndarray
+    cost: float
+    merit: float
+    rate: float = np.inf
+
+
+@contextmanager
+def _clock(times: dict[str, float], name: str) -> Iterator[None]:
+    started = time.perf_counter()
+    try:
+        yield
+    finally:
+        times[name] += 1e3 * (time.perf_counter() - started)

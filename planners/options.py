@@ -83,7 +83,7 @@ class PlanOptions:
     smooth: bool = False
     """Smooth every plan with CasADi, the learned distance as cost; a smoother plan is executed only if
     rolling it out shows that the planner's own cost did not rise."""
-    smooth_rate: float = 3.0
+    smooth_rate: float = 1.0
     """Weight, in steps, of squared changes from one action to the next."""
     smooth_jerk: float = 0.3
     """Weight of squared changes of those changes."""

@@ -209,7 +209,9 @@ def test_smoothed_plans_are_smoother_never_worse_and_within_bounds(worlds, actio
     n = smoother.cost.simulated_steps(8)
     for _ in range(15):
         actions = rng.uniform(-1.2, 1.2, (8, 2)).clip(-1, 1).astype(np.float32)
-        executed, trust = rng.uniform(-1, 1, (rng.integers(0, 3), 2)).astype(np.float32), smoother.trust
+        executed = rng.uniform(-1, 1, (rng.integers(0, 3), 2)).astype(np.float32)
+        smoother.reset()  # with a last plan to begin with, the trust region would be around that one
+        smoother.trust = trust = rng.uniform(0.05, 0.8)
         result = smoother(state, observation, actions, executed)
         plans = np.stack([actions, result.actions])
         before, after = smoother.cost(observation, smoother.engine.rollout(state, plans[:, :n]), plans, goal)
@@ -222,6 +224,22 @@ def test_smoothed_plans_are_smoother_never_worse_and_within_bounds(worlds, actio
     statistics = smoother.statistics
     assert statistics.n_accepted >= 8 and statistics.n_risen == statistics.n_solver_failures == 0
     assert len(statistics.before) == len(statistics.solve_ms) == statistics.n_calls == 15
+    smoother.engine.close()
+
+
+def test_a_last_plan_that_costs_no_more_is_kept(worlds):
+    world, observation, smoother = maze(worlds)
+    state = get_state(world.model, world.data)
+    observation["desired_goal"] = observation["achieved_goal"].copy()  # there already: standing still costs nothing
+    executed, rng = np.zeros((2, 2), np.float32), np.random.default_rng(0)
+    smoother(state, observation, np.zeros((8, 2), np.float32), executed)
+    for _ in range(5):
+        shaken = (0.05 * rng.standard_normal((8, 2))).astype(np.float32)
+        result = smoother(state, observation, shaken, executed)
+        assert result.accepted and result.cost == 0.0
+        assert action_rate(result.actions) < 0.2 * action_rate(shaken)
+    smoother.reset()
+    assert smoother._last is None
     smoother.engine.close()
 
 
