@@ -130,7 +130,6 @@ class QuadraticSolver:
         for _ in range(self._iterations):
             points = problem.points + problem.slopes @ change
             steps, slopes, hessians = self._distance.evaluate(points)
-            assert hessians is not None
             if value is None:
                 value = float(steps @ problem.weights)
             gradient = problem.matrix @ change + problem.gradient
