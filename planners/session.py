@@ -85,6 +85,7 @@ class Session:
         self.env, self.env_name = env, env_name
         self.controller, self.model = controller, model
         self.horizon = controller.horizon
+        self._statistics = getattr(controller.smoother, "statistics", None)
         self._last_observation: dict[str, np.ndarray] = {}
 
     @classmethod
@@ -171,8 +172,9 @@ class Session:
         return float(cost.to_go(*rows, following, observation["desired_goal"])[0])
 
     def raw_speed_fraction(self) -> float:
-        """Simulated steps per second of a plan call over those of a bare ``mujoco.rollout``."""
+        """Simulated steps per second of a plan call, smoothing left out, over those of a bare ``mujoco.rollout``."""
         world = self.env.unwrapped
+        self.controller.smoother = None
         state = get_state(world.model, world.data)
         return raw_speed_fraction(
             self.controller.engine,
@@ -201,8 +203,7 @@ class Session:
 
     def smoothing_summary(self) -> dict[str, Any] | None:
         """Figures of the smoothing layer so far; None without it."""
-        statistics = getattr(self.controller.smoother, "statistics", None)
-        return None if statistics is None else statistics.summary()
+        return None if self._statistics is None else self._statistics.summary()
 
     def close(self) -> None:
         """Stop threads and release the environment."""

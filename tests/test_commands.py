@@ -104,7 +104,11 @@ def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
     assert "plans accepted" in " ".join(capsys.readouterr().out.split())
     summary = json.loads((tmp_path / "summary.json").read_text())
     smoothing = summary["smoothing"]
-    assert smoothing["accepted_share"] > 0.2 and smoothing["risen"] == smoothing["solver_failures"] == 0
+    assert (
+        smoothing["calls"] == 50
+        and smoothing["accepted_share"] > 0.2
+        and smoothing["risen"] == smoothing["solver_failures"] == 0
+    )
     assert smoothing["linearise_ms"] > 0 and smoothing["solve_ms"] > 0 and smoothing["verify_ms"] > 0
     with open(tmp_path / "episodes.csv", newline="") as file:
         (row,) = csv.DictReader(file)
