@@ -43,6 +43,35 @@ class Planner(Protocol):
 
 
 @dataclass(frozen=True)
+class Smoothed:
+    """What a smoother makes of a plan.
+
+    Attributes:
+        actions: the plan to execute, ``(H, A)``.
+        cost: its true cost in steps, if it was rolled out.
+        accepted: whether it differs from the sampled plan.
+    """
+
+    actions: np.ndarray
+    cost: float | None
+    accepted: bool
+
+
+class Smoother(Protocol):
+    """Smooths the chosen plan; see :class:`mpc.smoothing.Smoother`."""
+
+    def reset(self) -> None:
+        """A new episode begins."""
+        ...
+
+    def __call__(
+        self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
+    ) -> Smoothed:
+        """Smooth ``actions`` ``(H, A)``; ``executed`` ``(k, A)``, k <= 2, are the last actions, the latest last."""
+        ...
+
+
+@dataclass(frozen=True)
 class Plan:
     """The outcome of one plan call.
 
@@ -53,6 +82,7 @@ class Plan:
         costs: their costs in steps, ``(N,)``.
         effective_samples: how many samples the planner's update really used.
         milliseconds: wall time of the call.
+        smoothing_ms: the part of it that went into smoothing.
     """
 
     action: np.ndarray
@@ -61,6 +91,7 @@ class Plan:
     costs: np.ndarray
     effective_samples: float
     milliseconds: float
+    smoothing_ms: float = 0.0
 
 
 class Controller:
@@ -76,6 +107,7 @@ class Controller:
         interpolation: how knots become controls.
         n_refinements: sample-update rounds per plan call.
         proposals_from: a policy whose own rollout joins the samples.
+        smoother: what smooths the plan before its first action is executed.
     """
 
     def __init__(
@@ -89,6 +121,7 @@ class Controller:
         interpolation: Interpolation = "linear",
         n_refinements: int = 1,
         proposals_from: Actor | None = None,
+        smoother: Smoother | None = None,
     ) -> None:
         self.engine, self.planner, self.cost = engine, planner, cost
         self.horizon, self.rng, self.n_refinements = horizon, rng, n_refinements
@@ -97,12 +130,17 @@ class Controller:
         self._to_knots = np.linalg.pinv(self._to_actions)
         self._shift = shift_matrix(n_knots, horizon, interpolation)
         self._proposals_from = proposals_from
+        self.smoother = smoother
+        self._executed: list[np.ndarray] = []
         self._fresh = True
         self._warned = False
 
     def reset(self) -> None:
         """Forget the last episode's plan."""
         self.planner.reset()
+        if self.smoother is not None:
+            self.smoother.reset()
+        self._executed = []
         self._fresh = True
 
     def plan(self, env: Any, observation: dict[str, np.ndarray]) -> Plan:
@@ -132,9 +170,25 @@ class Controller:
             costs = self.cost(observation, trajectories, actions, goal)
             self.planner.update(knots, costs)
         self._warn_if_lost(costs)
-        plan = self._actions(self.planner.plan)
-        milliseconds = 1e3 * (time.perf_counter() - started)
-        return Plan(plan[0], plan, trajectories, costs, self.planner.effective_samples, milliseconds)
+        plan, effective_samples = self._actions(self.planner.plan), self.planner.effective_samples
+        sampled = time.perf_counter()
+        if self.smoother is not None:
+            plan = self._smooth(self.smoother, state, observation, plan)
+        ended = time.perf_counter()
+        return Plan(
+            plan[0], plan, trajectories, costs, effective_samples, 1e3 * (ended - started), 1e3 * (ended - sampled)
+        )
+
+    def _smooth(
+        self, smoother: Smoother, state: np.ndarray, observation: dict[str, np.ndarray], plan: np.ndarray
+    ) -> np.ndarray:
+        executed = np.array(self._executed[-2:], np.float32).reshape(-1, plan.shape[1])
+        smoothed = smoother(state, observation, plan, executed)
+        if smoothed.accepted and smoothed.cost is not None:
+            # To the search it is one more sample: the next plan starts from it.
+            self.planner.update((self._to_knots @ smoothed.actions)[None], np.array([smoothed.cost]))
+        self._executed = [*self._executed[-1:], smoothed.actions[0].copy()]
+        return smoothed.actions
 
     def _actions(self, knots: np.ndarray) -> np.ndarray:
         # float32 like the environments' action spaces: the plan is what will be executed.

@@ -128,6 +128,19 @@ class Cost:
         """How many actions of a plan have to be simulated."""
         return horizon if self.action_of == "policy" else horizon - 1
 
+    def weights(self, horizon: int) -> np.ndarray:
+        """With what weight d at each state of a plan enters the cost, ``(H,)``.
+
+        The states are s_1 .. s_H, or with ``action_of="plan"`` s_0 .. s_{H-1}.
+        """
+        weights = np.zeros(horizon)
+        if self.where != "terminal":
+            read = self._averaged(horizon)
+            weights[read] = 1.0 / len(read)
+        if self.where != "mean":
+            weights[-1] += 1.0
+        return weights
+
     def __call__(
         self, start: dict[str, np.ndarray], trajectories: Trajectories, actions: np.ndarray, goal: np.ndarray
     ) -> np.ndarray:

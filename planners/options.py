@@ -27,6 +27,13 @@ RANGES: dict[str, tuple[float, float]] = {
     "kept": (0, 1),
     "elites": (1, 10**6),
     "temperature": (1e-9, 1e9),
+    **dict.fromkeys(("smooth_rate", "smooth_jerk", "smooth_distance"), (0, 1e6)),
+    "smooth_effort": (1e-6, 1e6),
+    "smooth_step": (1e-4, 0.5),
+    "smooth_trust": (0.05, 1),
+    "smooth_rounds": (1, 100),
+    "smooth_tolerance": (0, 1e6),
+    "low_pass": (0, 0.999),
 }
 
 
@@ -79,11 +86,42 @@ class PlanOptions:
     """How many episodes the video shows."""
     threads: int | None = None
     """Simulation threads; default all cores. Plans do not depend on it."""
+    smooth: bool = False
+    """Smooth every plan with CasADi, the learned distance as cost; a smoother plan is executed only if
+    rolling it out shows that the planner's own cost did not rise."""
+    smooth_rate: float = 1.0
+    """Weight, in steps, of squared changes from one action to the next."""
+    smooth_jerk: float = 0.3
+    """Weight of squared changes of those changes."""
+    smooth_effort: float = 0.01
+    """Weight of squared actions."""
+    smooth_distance: float = 1.0
+    """Weight of the learned distance."""
+    smooth_along: bool = True
+    """Read the distance at the states where the planner's cost reads it (--where); otherwise at the end only."""
+    smooth_trust: float = 0.3
+    """How far an action may be moved at first; adapts from step to step."""
+    smooth_rounds: int = 1
+    """Linearise, solve and verify so many times per plan."""
+    smooth_tolerance: float = 0.0
+    """Smoothing may raise the planner's cost by so many steps."""
+    smooth_accept: Literal["smoother", "better"] = "smoother"
+    """What a smoothed plan needs besides a cost that did not rise: a lower action rate, or a lower sum of cost
+    and roughness."""
+    smooth_step: float = 0.1
+    """Change of an action for the finite differences that linearise the simulator."""
+    smooth_solver: Literal["qp", "ipopt"] = "qp"
+    """Quadratic programs (daqp), or IPOPT: the same answers in several times the time."""
+    low_pass: float = 0.0
+    """Plain first-order filter of the plan instead, to compare with: the share of the action before in each one."""
 
     def hash(self) -> str:
         """Short hash of how plans are made: equal hashes plan alike with equal checkpoints and seeds."""
         elsewhere = ("episodes", "seed", "checkpoint", "out", "video", "video_episodes", "threads")
-        asked = {k: v for k, v in asdict(self).items() if k not in elsewhere and (k not in ADDED or v != ADDED[k])}
+        # Added after results existed: without them, plans are made as before.
+        idle = [k for k, v in (("smooth", self.smooth), ("low_pass", self.low_pass)) if not v]
+        idle += [] if self.smooth else [k for k in asdict(self) if k.startswith("smooth_")]
+        asked = {k: v for k, v in asdict(self).items() if k not in elsewhere and k not in idle}
         asked |= {"env": canonical_name(self.env), "horizon": self.steps_ahead}
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
 
@@ -101,6 +139,10 @@ class PlanOptions:
                 raise UserError(f"--{name.replace('_', '-')} is {value}; it must lie between {low:g} and {high:g}")
         if getattr(self, "elites", 1) > self.samples:
             raise UserError(f"--elites exceeds the {self.samples} samples; use fewer elites or more samples")
+        if self.smooth and self.cost != "distance":
+            raise UserError(f"--smooth needs --cost distance: it minimises the learned distance, not {self.cost}")
+        if self.smooth and self.low_pass:
+            raise UserError("--smooth and --low-pass exclude each other; use one of them")
 
 
 @dataclass(frozen=True)
@@ -165,11 +207,29 @@ class PredictiveSamplingOptions(PlanOptions):
     """Correlation of the noise between neighbouring knots."""
 
 
+@dataclass(frozen=True)
+class SmoothOptions(PlanOptions):
+    """Plan with the smoothing layer alone: it improves one plan from step to step, without any search."""
+
+    start: Literal["policy", "zero"] = "policy"
+    """What is smoothed: the cheaper of the last plan and the policy's own rollout, or the last plan only, which
+    starts at zero."""
+    samples: int = 2
+    """The plan, and the policy's rollout."""
+    smooth: bool = True
+    """Smoothing is what this command does."""
+    smooth_rounds: int = 3
+    """Linearise, solve and verify so many times per plan."""
+    smooth_accept: Literal["smoother", "better"] = "better"
+    """As for the other planners; without a search, the layer has to find the way as well."""
+
+
 OPTIONS: dict[str, type[PlanOptions]] = {
     "mppi": MPPIOptions,
     "cem": CEMOptions,
     "icem": ICEMOptions,
     "predictive_sampling": PredictiveSamplingOptions,
+    "smooth": SmoothOptions,
 }
 HORIZONS = {
     **dict.fromkeys(("point_maze", "point_maze_long"), 16),
@@ -179,5 +239,3 @@ HORIZONS = {
     "claw": 10,
 }
 DEFAULT_HORIZON = 8  # of tasks without an entry
-# Options added after results existed, with the value that means what was done before; see PlanOptions.hash.
-ADDED: dict[str, object] = {}

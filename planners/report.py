@@ -79,33 +79,57 @@ class Report:
             "plan_ms_median": float(np.median(plan_ms)),
             "plan_ms_p95": float(np.percentile(plan_ms, 95)),
             "raw_speed_fraction": raw_speed_fraction,
+            "mean_action_rate": float(np.mean([r.action_rate for r in results])),
+            "mean_jerk": float(np.mean([r.jerk for r in results])),
+            "smoothing": self._session.smoothing_summary(),
         }
 
     def _csv(self) -> str:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["seed", "success", "any_success", "first_hit", "final_gap_m", "plan_ms_median", "seconds"])
+        columns = (
+            "seed success any_success first_hit final_gap_m plan_ms_median seconds smoothing_ms_median action_rate jerk"
+        )
+        writer.writerow(columns.split())
         for r in self.results:
             hit = "" if r.first_hit is None else r.first_hit
             writer.writerow(
                 [r.seed, int(r.success), int(r.first_hit is not None), hit, f"{r.final_gap:.5f}",
-                 f"{np.median(r.plan_ms):.2f}", f"{r.seconds:.2f}"]
+                 f"{np.median(r.plan_ms):.2f}", f"{r.seconds:.2f}",
+                 f"{np.median(r.smoothing_ms):.2f}", f"{r.action_rate:.6f}", f"{r.jerk:.4f}"]
             )  # fmt: skip
         return text.getvalue()
 
     def _print(self, summary: dict[str, Any]) -> None:
         table = Table(title=f"{summary['planner']} on {summary['env']}, cost {summary['cost']}")
-        for column in ("success", "at goal in some step", "steps to goal", "ms per plan", "of raw simulator speed"):
+        for column in (
+            "success",
+            "at goal in some step",
+            "steps to goal",
+            "action rate",
+            "ms per plan",
+            "of raw simulator speed",
+        ):
             table.add_column(column, justify="right")
         steps = summary["mean_steps_to_goal"]
         table.add_row(
             describe(summary["success_rate"], summary["success_interval_95"]),
             describe(summary["any_success_rate"], summary["any_success_interval_95"]),
             "-" if steps is None else f"{steps:.1f}",
+            f"{summary['mean_action_rate']:.4f}",
             f"{summary['plan_ms_median']:.1f}",
             f"{summary['raw_speed_fraction']:.2f}",
         )
         self._console.print(table)
+        smoothing = summary["smoothing"]
+        if smoothing is not None:
+            self._console.print(
+                f"smoothing: {100 * smoothing['accepted_share']:.0f} % of {smoothing['calls']} plans accepted, "
+                f"{smoothing['risen']} with a higher cost, {smoothing['solver_failures']} solver failures; median ms: "
+                f"linearise {smoothing['linearise_ms']:.1f}, solve {smoothing['solve_ms']:.1f}, "
+                f"verify {smoothing['verify_ms']:.1f}; built once in {smoothing['build_ms']:.1f}",
+                highlight=False,
+            )
         for line in self._notes:
             self._console.print(line, highlight=False)
         self._console.print(f"results: {self._folder}/summary.json, episodes.csv, distance_to_go.png", highlight=False)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import inspect
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from mpc.controller import Controller, Plan, Planner
+from mpc.controller import Controller, Plan, Planner, Smoother
 from mpc.cost import Cost, EuclideanSteps, GivenSteps, LearnedSteps, NoSteps, StepsToGo
+from mpc.filters import LowPass
+from mpc.motion import action_rate, jerk
 from mpc.rollout import RolloutEngine
 from mpc.speed import raw_speed_fraction
 from napsp import envs as tasks
@@ -23,9 +25,19 @@ from planners.icem import ICEM
 from planners.mppi import MPPI
 from planners.options import PlanOptions
 from planners.predictive_sampling import PredictiveSampling
+from planners.smooth import Held
 from planners.video import Video
 
-PLANNERS: dict[str, Any] = {"mppi": MPPI, "cem": CEM, "icem": ICEM, "predictive_sampling": PredictiveSampling}
+PLANNERS: dict[str, Any] = {
+    "mppi": MPPI,
+    "cem": CEM,
+    "icem": ICEM,
+    "predictive_sampling": PredictiveSampling,
+    "smooth": Held,
+}
+
+
+N_EFFECTOR = {"point_maze": 2, "point_maze_long": 2, "claw": 9}  # Fetch: the grip's position
 
 
 @dataclass(frozen=True)
@@ -40,6 +52,10 @@ class EpisodeResult:
         to_go: the cost's estimate of steps to go at each state, ``(T,)``.
         gaps: straight-line gap at each state, metres, ``(T,)``.
         plan_ms: milliseconds of each plan call, ``(T,)``.
+        smoothing_ms: the part of it that went into smoothing, ``(T,)``.
+        actions: what was executed, ``(T, A)``.
+        action_rate: mean squared change from one action to the next.
+        jerk: root mean square of the end effector's jerk, m/s^3 (claw: of its joints, rad/s^3).
         seconds: wall time of the episode.
     """
 
@@ -50,6 +66,10 @@ class EpisodeResult:
     to_go: list[float]
     gaps: list[float]
     plan_ms: list[float]
+    smoothing_ms: list[float]
+    actions: np.ndarray
+    action_rate: float
+    jerk: float
     seconds: float
 
 
@@ -63,6 +83,7 @@ class Session:
         self.env, self.env_name = env, env_name
         self.controller, self.model = controller, model
         self.horizon = controller.horizon
+        self._statistics = getattr(controller.smoother, "statistics", None)
         self._last_observation: dict[str, np.ndarray] = {}
 
     @classmethod
@@ -84,9 +105,10 @@ class Session:
             raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
         _check_goal(options.goal, world)
         cost = Cost(_steps_to_go(options, model, world), world.reached, options.where, _action_of(options))
+        engine, n_actions = RolloutEngine(world.dynamics, options.threads), world.action_space.shape[0]
         controller = Controller(
-            RolloutEngine(world.dynamics, options.threads),
-            make_planner(planner, options, options.knots or horizon, world.action_space.shape[0]),
+            engine,
+            make_planner(planner, options, options.knots or horizon, n_actions),
             cost,
             horizon,
             np.random.default_rng(options.seed),
@@ -94,6 +116,7 @@ class Session:
             options.interpolation,
             options.refinements,
             GreedyPolicy(model.policy) if options.proposals and model else None,
+            _smoother(options, engine, cost, model, horizon, n_actions),
         )
         return cls(planner, options, env, env_name, controller, model)
 
@@ -111,20 +134,34 @@ class Session:
         to_go: list[float] = []
         gaps: list[float] = []
         plan_ms: list[float] = []
+        smoothing_ms: list[float] = []
+        actions: list[np.ndarray] = []
+        positions = [self._effector(observation)]
         for step in range(tasks.episode_length(self.env_name)):
             plan = self.controller.plan(world, observation)
             if video is not None:
                 video.frame(goal, plan)
             plan_ms.append(plan.milliseconds)
+            smoothing_ms.append(plan.smoothing_ms)
+            actions.append(plan.action)
             observation, _, _, _, info = self.env.step(plan.action)
             success = bool(info["is_success"])
             first_hit = step + 1 if success and first_hit is None else first_hit
             to_go.append(self._to_go(observation, plan))
             offset = world.goal_positions(observation["achieved_goal"]) - world.goal_positions(goal)
             gaps.append(float(np.linalg.norm(offset)))
+            positions.append(self._effector(observation))
         self._last_observation = observation
         seconds = time.monotonic() - started
-        return EpisodeResult(seed, success, first_hit, gaps[-1], to_go, gaps, plan_ms, seconds)
+        control_step = world.dynamics.substeps * world.model.opt.timestep
+        return EpisodeResult(
+            seed, success, first_hit, gaps[-1], to_go, gaps, plan_ms, smoothing_ms, np.array(actions),
+            action_rate(np.array(actions)), jerk(np.array(positions), control_step), seconds,
+        )  # fmt: skip
+
+    def _effector(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        # Every task's observation begins with where its end effector is.
+        return observation["observation"][: N_EFFECTOR.get(self.env_name, 3)]
 
     def _to_go(self, observation: dict[str, np.ndarray], plan: Plan) -> float:
         cost = self.controller.cost
@@ -133,8 +170,9 @@ class Session:
         return float(cost.to_go(*rows, following, observation["desired_goal"])[0])
 
     def raw_speed_fraction(self) -> float:
-        """Simulated steps per second of a plan call over those of a bare ``mujoco.rollout``."""
+        """Simulated steps per second of a plan call, smoothing left out, over those of a bare ``mujoco.rollout``."""
         world = self.env.unwrapped
+        self.controller.smoother = None
         state = get_state(world.model, world.data)
         return raw_speed_fraction(
             self.controller.engine,
@@ -158,6 +196,10 @@ class Session:
             "revision": git_revision(),
             "checkpoint": self.model.header if self.model else None,
         }
+
+    def smoothing_summary(self) -> dict[str, Any] | None:
+        """Figures of the smoothing layer so far; None without it."""
+        return None if self._statistics is None else self._statistics.summary()
 
     def close(self) -> None:
         """Stop threads and release the environment."""
@@ -189,6 +231,20 @@ def _steps_to_go(options: PlanOptions, model: Model | None, world: Any) -> Steps
     if ":" in options.cost:
         return GivenSteps(load_object(options.cost))
     return EuclideanSteps(world.step_length) if options.cost == "euclidean" else NoSteps()
+
+
+def _smoother(
+    options: PlanOptions, engine: RolloutEngine, cost: Cost, model: Model | None, horizon: int, n_actions: int
+) -> Smoother | None:
+    if options.low_pass:
+        return LowPass(options.low_pass)
+    if not options.smooth or model is None:
+        return None
+    from mpc import smoothing  # imports casadi, which nobody else needs
+
+    names = [field.name for field in fields(smoothing.SmoothingConfig)]
+    config = smoothing.SmoothingConfig(**{name: getattr(options, f"smooth_{name}") for name in names})
+    return smoothing.Smoother(engine, cost, model, horizon, n_actions, config)
 
 
 def _action_of(options: PlanOptions) -> Any:

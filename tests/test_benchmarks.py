@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from test_train import tiny
 
-from benchmarks import cells, curves, sweep
-from napsp.statistics import describe, interquartile_mean
+from benchmarks import cells, curves, smoothing, sweep
+from napsp.statistics import describe, interquartile_mean, paired_difference
 
 
 @pytest.fixture
@@ -78,6 +78,27 @@ def test_ray_trains_the_same_cells(workplace):
     finally:
         ray.shutdown()
     assert len(list(cells.ROWS.glob("*.json"))) == 2
+
+
+def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(smoothing, "RESULTS", tmp_path)
+    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 4)
+    arguments = ["--env", "point_maze", "--episodes", "2", "--variants", "plain", "smoothed", "low-pass 0.6"]
+    monkeypatch.setattr(sys, "argv", ["smoothing", *arguments])
+    assert smoothing.main() == 0
+    rows = cells.read_results(tmp_path / "smoothing.csv")
+    assert [row["variant"] for row in rows] == ["plain", "smoothed", "low-pass 0.6"]
+    assert [row["first_hits"] for row in rows] == ["- -"] * 3 and rows[1]["calls"] == "8" and not rows[0]["calls"]
+    assert "accepted" in capsys.readouterr().out
+    assert (tmp_path / "smoothing_point_maze.png").read_bytes()[:4] == b"\x89PNG"
+    monkeypatch.setattr(smoothing, "run_cell", lambda *_: pytest.fail("a finished cell was run again"))
+    assert smoothing.main() == 0
+
+
+def test_paired_difference_and_its_interval():
+    mean, (low, high) = paired_difference([3.0, 5.0, 4.0, 6.0], [2.0, 3.0, 3.0, 4.0])
+    assert mean == 1.5 and 1.0 <= low < mean < high <= 2.0
+    assert paired_difference([1.0, 2.0], [1.0, 2.0]) == (0.0, (0.0, 0.0))
 
 
 def test_interquartile_mean_and_its_interval():

@@ -87,11 +87,33 @@ def test_same_seed_same_result(tmp_path):
         ["--action-of", "plan", "--horizon", "1"],
         ["--no-proposals"],
         ["--proposals", "--knots", "4"],
+        ["--low-pass", "0.6"],
+        ["--smooth", "--action-of", "plan", "--horizon", "1"],
+        ["--smooth", "--knots", "4", "--smooth-solver", "ipopt", "--where", "terminal"],
     ],
 )
 def test_options_run(options, tmp_path):
     arguments = ["--env", "point_maze", "--episodes", "1", "--samples", "8", "--no-video", "--out", str(tmp_path)]
     assert run("mppi", [*arguments, *options]) == 0
+
+
+@pytest.mark.parametrize("planner", ["mppi", "cem", "icem", "predictive_sampling", "smooth"])
+def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
+    arguments = ["--env", "point_maze", "--episodes", "1", "--horizon", "6", "--no-video", "--out", str(tmp_path)]
+    assert run(planner, [*arguments, *([] if planner == "smooth" else ["--smooth"])]) == 0
+    assert "plans accepted" in " ".join(capsys.readouterr().out.split())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    smoothing = summary["smoothing"]
+    assert (
+        smoothing["calls"] == 50
+        and smoothing["accepted_share"] > 0.2
+        and smoothing["risen"] == smoothing["solver_failures"] == 0
+    )
+    assert smoothing["linearise_ms"] > 0 and smoothing["solve_ms"] > 0 and smoothing["verify_ms"] > 0
+    with open(tmp_path / "episodes.csv", newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert float(row["action_rate"]) == pytest.approx(summary["mean_action_rate"], abs=1e-5)
+    assert float(row["jerk"]) > 0 and float(row["smoothing_ms_median"]) > 0
 
 
 @pytest.mark.parametrize(
@@ -113,6 +135,10 @@ def test_options_run(options, tmp_path):
         ),
         (["planners.mppi", "--seed", "-1"], "--seed is -1"),
         (["planners.mppi", "--cost", "sparse", "--action-of", "plan"], "--action-of plan needs --cost distance"),
+        (["planners.mppi", "--cost", "euclidean", "--smooth"], "--smooth needs --cost distance"),
+        (["planners.mppi", "--smooth", "--low-pass", "0.5"], "--smooth and --low-pass exclude each other"),
+        (["planners.mppi", "--smooth-trust", "2"], "--smooth-trust is 2.0; it must lie between 0.05 and 1"),
+        (["benchmarks.smoothing", "--planner", "nope"], "unknown planner 'nope'; choose mppi"),
         (["napsp.train", "--discount", "1"], "discount is 1.0; it must lie between"),
         (["benchmarks.rollout_speed", "--samples", "0"], "--samples is 0"),
         (["benchmarks.coverage", "--env", "fetch_reach"], "point_maze and point_maze_long only"),

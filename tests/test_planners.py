@@ -197,7 +197,7 @@ def test_too_many_knots_are_refused():
 
 def test_search_imports_nothing_but_numpy():
     code = (
-        "import sys, planners.mppi, planners.cem, planners.icem, planners.predictive_sampling; "
+        "import sys, planners.mppi, planners.cem, planners.icem, planners.predictive_sampling, planners.smooth; "
         "heavy = {'torch', 'mujoco', 'casadi', 'gymnasium', 'scipy'} & set(sys.modules); "
         "assert not heavy, heavy"
     )

@@ -1,0 +1,328 @@
+"""The smoothing layer: exact derivatives, true sensitivities, the optimum, and never a worse plan."""
+
+import copy
+import subprocess
+import sys
+
+import casadi
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import minimize
+from torch.func import jacrev, vmap
+
+from mpc.controller import Controller
+from mpc.cost import Cost, LearnedSteps
+from mpc.filters import LowPass
+from mpc.motion import action_rate, jerk
+from mpc.rollout import RolloutEngine
+from mpc.smoothing import Smoother, SmoothingConfig
+from mpc.smoothing_distance import SmoothDistance
+from mpc.smoothing_linearise import linearise
+from mpc.smoothing_problem import SOLVERS, Problem, Roughness
+from napsp.checkpoint import Model, load_model, shipped_model
+from napsp.config import preset
+from napsp.envs.dynamics import get_state
+from napsp.networks import DistanceNetwork, GaussianPolicy
+from planners.mppi import MPPI
+from planners.smooth import Held
+
+SHIPPED = ("point_maze", "fetch_reach", "fetch_wall")
+
+
+def shipped(env):
+    return load_model(shipped_model(env), env)
+
+
+def random_model(output="softplus", sizes=(3, 2, 2)):
+    torch.manual_seed(1)
+    distance, policy = DistanceNetwork(sizes, (16, 16), 50, output), GaussianPolicy(sizes, (16, 16))
+    for network in (distance, policy):
+        network.scaling.observation_mean += 0.3
+        network.scaling.goal_scale *= 2.0
+        network.requires_grad_(False)
+    return Model(distance, policy, preset("point_maze"), {})
+
+
+def torch_distance(model, action_of):
+    """The same function of x in torch, float64."""
+    distance, policy = copy.deepcopy(model.distance).double(), copy.deepcopy(model.policy).double()
+    n_s, n_g = len(distance.scaling.observation_mean), len(distance.scaling.goal_mean)
+
+    def function(x):
+        s, g = x[None, :n_s], x[None, -n_g:]
+        return distance(s, x[None, n_s:-n_g] if action_of == "plan" else policy.mode(s, g), g)[0]
+
+    return function
+
+
+def random_inputs(model, action_of, n, rng, spread=2.0):
+    scaling, n_actions = model.distance.scaling.numbers(), model.policy.n_actions
+    s = scaling.observation_mean + scaling.observation_scale * spread * rng.normal(size=(n, 1)) * rng.normal(
+        size=(n, len(scaling.observation_mean))
+    )
+    g = scaling.goal_mean + scaling.goal_scale * spread * rng.normal(size=(n, len(scaling.goal_mean)))
+    actions = [rng.uniform(-1, 1, (n, n_actions))] if action_of == "plan" else []
+    return np.concatenate([s, *actions, g], axis=1)
+
+
+def relative_error(found, expected):
+    """Largest error of any row, relative to that row's largest number."""
+    rows = np.abs(expected).reshape(len(expected), -1).max(1)
+    return (np.abs(found - expected).reshape(len(expected), -1).max(1) / rows).max()
+
+
+@pytest.mark.parametrize("env", SHIPPED)
+@pytest.mark.parametrize("action_of", ["policy", "plan"])
+def test_export_equals_torch_on_shipped_checkpoints(env, action_of):
+    model = shipped(env)
+    rows = random_inputs(model, action_of, 1000, np.random.default_rng(0))
+    function, inputs = torch_distance(model, action_of), torch.from_numpy(rows)
+    smooth = SmoothDistance(model, action_of)
+    value, gradient, hessian = smooth.evaluate(rows)
+    assert relative_error(value, vmap(function)(inputs).numpy()) < 1e-10
+    assert relative_error(gradient, vmap(jacrev(function))(inputs).numpy()) < 1e-10
+    assert relative_error(hessian[:30], vmap(jacrev(jacrev(function)))(inputs[:30]).numpy()) < 1e-10
+    np.testing.assert_allclose(smooth.values(rows), value, rtol=1e-12)
+    # The CasADi function computes the same, derivatives included.
+    x = casadi.MX.sym("x", smooth.n_inputs)
+    exported = casadi.Function("all", [x], [smooth.function()(x), *casadi.hessian(smooth.function()(x), x)[::-1]])
+    found = [[np.array(part) for part in exported(row)] for row in rows[:30]]
+    for k, expected in enumerate((value[:30], gradient[:30], hessian[:30])):
+        assert relative_error(np.stack([row[k] for row in found]).reshape(expected.shape), expected) < 1e-10
+    # Within [0, T] it is the distance the planner's cost uses, in float32 there.
+    n_s, n_g = smooth.n_observation, smooth.n_goal
+    parts = [torch.from_numpy(part).float() for part in (rows[:, :n_s], rows[:, n_s:-n_g], rows[:, -n_g:])]
+    action = parts[1] if action_of == "plan" else model.policy.mode(parts[0], parts[2])
+    steps = model.distance.steps(parts[0], action, parts[2]).numpy()
+    np.testing.assert_allclose(np.clip(value, 0.0, smooth.horizon), steps, rtol=1e-3, atol=2e-3)
+
+
+@pytest.mark.parametrize("output", ["softplus", "linear"])
+@pytest.mark.parametrize("action_of", ["policy", "plan"])
+def test_export_against_finite_differences(output, action_of):
+    model = random_model(output)
+    smooth = SmoothDistance(model, action_of)
+    rows = random_inputs(model, action_of, 20, np.random.default_rng(1), spread=1.0)
+    _, gradient, hessian = smooth.evaluate(rows)
+    step = 1e-5
+    for k in range(smooth.n_inputs):
+        shift = step * np.eye(smooth.n_inputs)[k]
+        up, down = smooth.evaluate(rows + shift), smooth.evaluate(rows - shift)
+        np.testing.assert_allclose(gradient[:, k], (up[0] - down[0]) / (2 * step), atol=1e-6)
+        np.testing.assert_allclose(hessian[:, k], (up[1] - down[1]) / (2 * step), atol=1e-6)
+
+
+def test_beyond_the_networks_input_limit_d_is_flat():
+    model = random_model()
+    smooth = SmoothDistance(model, "policy")
+    rows = np.full((1, smooth.n_inputs), 1e3)
+    value, gradient, hessian = smooth.evaluate(rows)
+    assert value == smooth.evaluate(rows + 1.0)[0]
+    np.testing.assert_array_equal(gradient, 0.0)
+    np.testing.assert_array_equal(hessian, 0.0)
+
+
+@pytest.mark.parametrize("env", ["point_maze", "fetch_reach"])
+def test_linearisation_predicts_the_simulator(worlds, env):
+    world, rng = worlds[env], np.random.default_rng(0)
+    world.reset(seed=3)
+    state, size = get_state(world.model, world.data), world.action_space.shape[0]
+    actions = rng.uniform(-0.3, 0.3, (4, size)).astype(np.float32)
+    with RolloutEngine(world.dynamics, 1) as engine:
+        linear = linearise(engine, state, actions, 4, step=0.01)
+        assert linear.sensitivities.shape == (4, world.observation_space["observation"].shape[0], 4 * size)
+        for step in (0.1, -0.05):
+            change = (step * rng.standard_normal(actions.shape)).astype(np.float32)
+            moved = engine.rollout(state, (actions + change)[None]).observations[0]
+            predicted = linear.nominal.observations[0] + linear.sensitivities @ change.ravel()
+            error, size_of_change = moved - predicted, moved - linear.nominal.observations[0]
+            assert np.linalg.norm(error[:, :2]) < 0.01 * np.linalg.norm(size_of_change[:, :2])
+    # Actions do not reach back in time, and Fetch's blocked gripper (the last number) moves nothing.
+    by_time = linear.sensitivities.reshape(4, -1, 4, size)
+    assert not by_time[0, :, 1:].any() and by_time[3].any()
+    assert env == "point_maze" or not by_time[..., 3].any()
+
+
+def random_problem(rng, smooth, horizon=4, n_actions=2, n_readings=2, goal_size=2):
+    n_unknowns = horizon * n_actions
+    actions, executed = rng.uniform(-1, 1, (horizon, n_actions)), rng.uniform(-1, 1, (2, n_actions))
+    matrix, gradient, _ = Roughness(0.5, 0.1, 0.02).quadratic(actions, executed)
+    slopes = rng.normal(size=(n_readings, smooth.n_inputs, n_unknowns))
+    slopes[:, -goal_size:] = 0.0
+    trust = rng.uniform(0.05, 0.8)
+    bounds = np.maximum(-1 - actions, -trust).ravel(), np.minimum(1 - actions, trust).ravel()
+    return Problem(matrix, gradient, rng.normal(size=(n_readings, smooth.n_inputs)), slopes, np.full(n_readings, 0.1),
+                   *bounds)  # fmt: skip
+
+
+def test_both_solvers_find_scipys_optimum_within_bounds():
+    smooth, rng = SmoothDistance(random_model(), "policy"), np.random.default_rng(0)
+    solvers = [SOLVERS["qp"](smooth, 8, 2, 30), SOLVERS["ipopt"](smooth, 8, 2, 50)]
+    for _ in range(20):
+        problem = random_problem(rng, smooth)
+        best = minimize(
+            lambda du, p: p.value(smooth, du[None])[0], np.zeros(8), (problem,), "L-BFGS-B",
+            bounds=list(zip(problem.lower, problem.upper, strict=True)), options={"ftol": 1e-12, "maxiter": 500},
+        )  # fmt: skip
+        start = problem.value(smooth, np.zeros((1, 8)))[0]
+        for solver in solvers:
+            change = solver.solve(problem)
+            assert (change >= problem.lower - 1e-9).all() and (change <= problem.upper + 1e-9).all()
+            assert problem.value(smooth, change[None])[0] <= best.fun + 5e-3 * (start - best.fun) + 1e-5
+
+
+def test_roughness_is_its_formula():
+    rng = np.random.default_rng(0)
+    roughness, actions = Roughness(0.7, 0.2, 0.1), rng.normal(size=(5, 2))
+    for n_executed in (0, 1, 2):
+        executed = rng.normal(size=(n_executed, 2))
+
+        def value(du, executed=executed, actions=actions):
+            u = actions + du
+            joined = np.concatenate([executed[-1:], u])
+            jerked = np.concatenate([executed[-2:], u])
+            return (0.7 * np.square(np.diff(joined, axis=0)).sum() + 0.1 * np.square(u).sum()
+                    + 0.2 * np.square(np.diff(jerked, 2, axis=0)).sum())  # fmt: skip
+
+        matrix, gradient, start = roughness.quadratic(actions, executed)
+        for change in rng.normal(size=(3, 5, 2)):
+            flat = change.ravel()
+            expected = start + gradient @ flat + 0.5 * flat @ matrix @ flat
+            np.testing.assert_allclose(value(change), expected)
+            np.testing.assert_allclose(roughness((actions + change)[None], executed), [expected])
+
+
+def maze(worlds, seed=1, horizon=8, to_go=None, config=None, where="mean", action_of="policy"):
+    world, model = worlds["point_maze"], shipped("point_maze")
+    observation, _ = world.reset(seed=seed)
+    engine = RolloutEngine(world.dynamics, 1)
+    cost = Cost(to_go or LearnedSteps(model), world.reached, where, action_of)
+    return world, observation, Smoother(engine, cost, model, horizon, 2, config)
+
+
+@pytest.mark.parametrize("action_of", ["policy", "plan"])
+@pytest.mark.parametrize("where", ["mean", "terminal", "both"])
+def test_smoothed_plans_are_smoother_never_worse_and_within_bounds(worlds, action_of, where):
+    world, observation, smoother = maze(worlds, where=where, action_of=action_of)
+    state, rng, goal = get_state(world.model, world.data), np.random.default_rng(0), observation["desired_goal"]
+    n = smoother.cost.simulated_steps(8)
+    for _ in range(15):
+        actions = rng.uniform(-1.2, 1.2, (8, 2)).clip(-1, 1).astype(np.float32)
+        executed = rng.uniform(-1, 1, (rng.integers(0, 3), 2)).astype(np.float32)
+        smoother.reset()  # with a last plan to begin with, the trust region would be around that one
+        smoother.trust = trust = rng.uniform(0.05, 0.8)
+        result = smoother(state, observation, actions, executed)
+        plans = np.stack([actions, result.actions])
+        before, after = smoother.cost(observation, smoother.engine.rollout(state, plans[:, :n]), plans, goal)
+        assert after <= before + 1e-4 and (np.abs(result.actions) <= 1.0).all()
+        assert np.abs(result.actions - actions).max() <= trust + 1e-6
+        if result.accepted:
+            assert result.cost == pytest.approx(after, abs=1e-4)  # float32, in batches of another size
+            rough, smooth = (action_rate(np.concatenate([executed[-1:], plan])) for plan in plans)
+            assert smooth < rough
+    statistics = smoother.statistics
+    assert statistics.n_accepted >= 8 and statistics.n_risen == statistics.n_solver_failures == 0
+    assert len(statistics.before) == len(statistics.solve_ms) == statistics.n_calls == 15
+    smoother.engine.close()
+
+
+def test_a_last_plan_that_costs_no_more_is_kept(worlds):
+    world, observation, smoother = maze(worlds)
+    state = get_state(world.model, world.data)
+    observation["desired_goal"] = observation["achieved_goal"].copy()  # there already: standing still costs nothing
+    executed, rng = np.zeros((2, 2), np.float32), np.random.default_rng(0)
+    smoother(state, observation, np.zeros((8, 2), np.float32), executed)
+    for _ in range(5):
+        shaken = (0.05 * rng.standard_normal((8, 2))).astype(np.float32)
+        result = smoother(state, observation, shaken, executed)
+        assert result.accepted and result.cost == 0.0
+        assert action_rate(result.actions) < 0.2 * action_rate(shaken)
+    smoother.reset()
+    assert smoother._last is None
+    smoother.engine.close()
+
+
+def test_a_model_that_lies_is_refused(worlds):
+    # The true cost is the opposite of what the layer's model of it says: every move it likes makes it worse.
+    learned = LearnedSteps(shipped("point_maze"))
+    world, observation, smoother = maze(
+        worlds, to_go=lambda *rows: 50.0 - learned(*rows), config=SmoothingConfig(rate=1e-4, distance=100.0)
+    )
+    actions = np.random.default_rng(0).uniform(-0.5, 0.5, (8, 2)).astype(np.float32)
+    for _ in range(3):
+        result = smoother(get_state(world.model, world.data), observation, actions, np.zeros((0, 2), np.float32))
+        assert not result.accepted
+        np.testing.assert_array_equal(result.actions, actions)
+    assert smoother.statistics.n_accepted == 0 and smoother.trust < smoother.config.trust
+    smoother.engine.close()
+
+
+def test_numbers_that_are_not_finite_leave_the_plan_alone(worlds):
+    actions, executed = np.random.default_rng(0).uniform(-0.5, 0.5, (8, 2)).astype(np.float32), np.zeros((1, 2))
+    world, observation, smoother = maze(worlds, to_go=lambda *rows: np.full(len(rows[0]), np.nan))
+    state = get_state(world.model, world.data)
+    np.testing.assert_array_equal(smoother(state, observation, actions, executed).actions, actions)
+    assert smoother.statistics.n_accepted == 0
+    for solver in SOLVERS:
+        world, observation, smoother = maze(worlds, config=SmoothingConfig(solver=solver))
+        smoother.distance._distance.layers[0][0][:] = np.nan  # d breaks inside the layer only
+        smoother._solver = SOLVERS[solver](smoother.distance, 16, len(smoother._read))
+        result = smoother(state, observation, actions, executed)
+        np.testing.assert_array_equal(result.actions, actions)
+        assert smoother.statistics.n_solver_failures == 1 and not result.accepted
+        smoother.engine.close()
+
+
+def controller(world, observation, smoother, planner=None, rng=0):
+    planner = planner or MPPI(smoother.horizon, 2, 24)
+    return Controller(
+        smoother.engine, planner, smoother.cost, smoother.horizon, np.random.default_rng(rng), smoother=smoother
+    )
+
+
+def test_the_solver_is_built_once_and_the_world_is_left_alone(worlds, monkeypatch):
+    world, observation, smoother = maze(worlds)
+    for name in ("conic", "nlpsol"):
+        monkeypatch.setattr(casadi, name, lambda *_: pytest.fail("built again"))
+    control = controller(world, observation, smoother)
+    before = get_state(world.model, world.data)
+    for _ in range(4):
+        plan = control.plan(world, observation)
+        assert 0.0 < plan.smoothing_ms < plan.milliseconds
+        np.testing.assert_array_equal(plan.action, plan.actions[0])
+    np.testing.assert_array_equal(before, get_state(world.model, world.data))
+    assert smoother.statistics.n_calls == 4
+    control.reset()
+    assert smoother.trust == smoother.config.trust
+    smoother.engine.close()
+
+
+def test_the_layer_alone_finds_the_way_from_zero(worlds):
+    config = SmoothingConfig(accept="better", rounds=2)
+    world, observation, smoother = maze(worlds, seed=1, horizon=16, config=config)
+    control = controller(world, observation, smoother, Held(16, 2, "zero"))
+    reached = False
+    for _ in range(40):
+        observation, _, _, _, info = world.step(control.plan(world, observation).action)
+        reached |= info["is_success"]
+    assert reached
+    smoother.engine.close()
+
+
+def test_low_pass_is_its_recursion():
+    actions = np.array([[1.0], [0.0], [1.0]])
+    found = LowPass(0.6)(np.zeros(1), {}, actions, np.array([[0.5]])).actions
+    np.testing.assert_allclose(found[:, 0], [0.7, 0.42, 0.652])
+    np.testing.assert_allclose(LowPass(0.6)(np.zeros(1), {}, actions, np.zeros((0, 1))).actions[0], 1.0)
+
+
+def test_figures_of_smoothness():
+    assert action_rate(np.array([[0.0, 0.0], [1.0, 2.0], [1.0, 2.0]])) == pytest.approx(2.5)
+    times = 0.1 * np.arange(10)
+    assert jerk(np.stack([2.0 * times**3, 0.0 * times], axis=1), 0.1) == pytest.approx(12.0)
+
+
+def test_planning_without_smoothing_imports_no_casadi():
+    code = "import sys, planners.session, planners.report, planners.smooth; assert 'casadi' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
