@@ -164,10 +164,80 @@ def speed_table() -> list[str]:
     return lines
 
 
+def smoothing_table() -> list[str]:
+    """Planners with and without the smoothing layer."""
+    lines = [
+        "### Smoothing (`python -m benchmarks.smoothing --env NAME`)",
+        "",
+        "MPPI on the same fresh episodes, one thread. *Action rate* is the mean squared change from one action to the next; *risen* counts",
+        "accepted plans whose true cost went up.",
+        "",
+        "| task | proposals | variant | success | first hit | action rate | jerk | accepted | risen | search + smoothing [ms] |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in read_results(RESULTS / "smoothing.csv"):
+        hits = [float(hit) for hit in row["first_hits"].split() if hit != "-"]
+        n, rate = int(row["episodes"]), float(row["success_rate"])
+        accepted = f"{float(row['accepted_share']):.2f}" if row.get("accepted_share") else "-"
+        lines.append(
+            f"| {row['env']} | {'yes' if row['proposals'] == 'True' else 'no'} | {row['variant']} "
+            f"| {describe(rate, wilson_interval(round(rate * n), n))} | {sum(hits) / max(1, len(hits)):.1f} "
+            f"| {float(row['action_rate']):.4f} | {float(row['jerk']):.1f} | {accepted} | {row.get('risen') or '-'} "
+            f"| {float(row['search_ms']):.0f} + {float(row['smoothing_ms']):.0f} |"
+        )
+    return lines
+
+
+def versus_table() -> list[str]:
+    """The policy against planners with the same distance."""
+    rows = read_results(RESULTS / "policy_vs_mpc.csv")
+    lines = [
+        "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
+        "",
+        "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements.",
+        "",
+        "| task | training episodes | planner | policy's rollout among the samples | budget | success | steps to goal | ms per plan |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        n, rate = int(row["episodes"]), float(row["success_rate"])
+        policy = row["planner"] == "policy"
+        steps = f"{float(row['mean_steps_to_goal']):.1f}" if row["mean_steps_to_goal"] else "-"
+        lines.append(
+            f"| {row['env']} | {row['training_episodes']} | {row['planner']} "
+            f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
+            f"| {describe(rate, wilson_interval(round(rate * n), n))} | {steps} | {float(row['plan_ms_median']):.0f} |"
+        )
+    return lines if rows else []
+
+
+def learner_table() -> list[str]:
+    """Speed of the learner."""
+    lines = [
+        "### Learning speed (`python -m benchmarks.learner_speed`)",
+        "",
+        "HER + SAC updates per second, relabelling included: same networks, batch, task and threads, in turn.",
+        "",
+        "| networks | batch | threads | ours | Stable-Baselines3 | ratio | share of the matrix-product speed |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for path in sorted(RESULTS.glob("learner_speed_*.json")):
+        row = json.loads(path.read_text())
+        lines.append(
+            f"| {row['hidden']} | {row['batch_size']} | {row['threads']} | {row['ours_updates_per_second']:.0f} "
+            f"| {row['stable_baselines3_updates_per_second']:.0f} | {row['ours_over_stable_baselines3']:.2f} "
+            f"| {row['share_of_matrix_product_speed']:.2f} |"
+        )
+    return lines
+
+
 def main() -> int:
     """Replace the part of the README between the two markers."""
-    tables = (cost_table, training_table, learning_table, accuracy_table, coverage_table, speed_table)
-    body = "\n\n".join("\n".join(table()) for table in tables)
+    tables = (
+        cost_table, versus_table, smoothing_table, training_table, learning_table, accuracy_table, coverage_table,
+        speed_table, learner_table,
+    )  # fmt: skip
+    body = "\n\n".join("\n".join(lines) for table in tables if (lines := table()))
     text = README.read_text()
     before, after = text.split(START)[0], text.split(END)[1]
     write_atomically(README, f"{before}{START}\n\n{body}\n\n{END}{after}".encode())
