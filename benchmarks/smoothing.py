@@ -163,8 +163,8 @@ def main() -> int:
         if variant in (PLAIN, SMOOTHED):
             shown[f"{options.planner}, {variant}"] = session.run_episode(options.seed)
         session.close()
-    suffix = "" if options.proposals else "_no_proposals"
-    draw(RESULTS / f"smoothing_{env_name}{suffix}.png", f"{env_name}, seed {options.seed}", shown)
+    suffix, words = ("", "") if options.proposals else ("_no_proposals", ", without policy proposals")
+    draw(RESULTS / f"smoothing_{env_name}{suffix}.png", f"{env_name}, seed {options.seed}{words}", shown)
     return 0
 
 
