@@ -110,3 +110,11 @@ def append_result(path: Path, row: Mapping[str, Any]) -> None:
     writer.writerows(rows)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, text.getvalue().encode())
+
+
+def report(figures: Mapping[str, Any], path: Path | None) -> None:
+    """Print named figures, one per line, and write them as JSON if a file is named."""
+    for name, value in figures.items():
+        print(f"{name:36s} {value:.3f}" if isinstance(value, float) else f"{name:36s} {value}")
+    if path is not None:
+        write_json(path, dict(figures))

@@ -19,8 +19,9 @@ import numpy as np
 import torch
 import tyro
 
+from benchmarks.cells import report
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision, write_json
+from napsp.checkpoint import git_revision
 from napsp.config import TrainConfig, preset
 from napsp.errors import UserError, run_command
 from napsp.train import new_learner, sizes_of
@@ -137,10 +138,7 @@ def main() -> int:
             np.median(np.array(rates["ours"]) * arithmetic(config, sizes) / np.array(peaks))
         ),
     }
-    for name, value in figures.items():
-        print(f"{name:36s} {value:.2f}" if isinstance(value, float) else f"{name:36s} {value}")
-    if options.out is not None:
-        write_json(options.out, figures)
+    report(figures, options.out)
     return 0
 
 

@@ -132,16 +132,19 @@ def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, op
 
 
 def draw(env_name: str) -> Path | None:
-    """Success against samples per step, and against training episodes, from the rows of a task."""
+    """Success against samples per step and against training episodes, as far as a task has rows of several."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
     rows = [row for row in read_results(FILE) if row["env"] == env_name]
-    figure, axes = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
+    panels = [x for x in ("budget", "training_episodes") if len({row[x] for row in rows} - {"0"}) > 1]
+    if not panels:  # one budget and one checkpoint: the table says it all
+        return None
+    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3), layout="constrained")
     last = max(int(row["training_episodes"]) for row in rows)
-    for axis, x in zip(axes, ("budget", "training_episodes"), strict=True):
+    for axis, x in zip(np.atleast_1d(axes), panels, strict=True):
         lines: dict[str, list[tuple[int, float]]] = {}
         for row in rows:
             name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
@@ -182,7 +185,9 @@ def main() -> int:
         print(f"{config.env} after {config.n_episodes} episodes  {name:30s} {budget:5d} plans  success {interval}  "
               f"minus policy {mean:+.2f} [{low:+.2f}, {high:+.2f}]  {float(row['plan_ms_median']):.0f} ms",
               flush=True)  # fmt: skip
-    print(f"picture: {draw(tasks.canonical_name(options.env))}")
+    picture = draw(tasks.canonical_name(options.env))
+    if picture is not None:
+        print(f"picture: {picture}")
     return 0
 
 

@@ -27,10 +27,11 @@ import numpy as np
 import tyro
 from mujoco.rollout import Rollout
 
+from benchmarks.cells import report
 from mpc.controller import Plan
 from mpc.speed import HELD, RawRollout
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision, write_json
+from napsp.checkpoint import git_revision
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import UserError, run_command
@@ -214,10 +215,7 @@ def main() -> int:
     }
     if figures["env"].startswith("fetch"):
         figures |= measure_collection(options.env, options.rounds)
-    for name, value in figures.items():
-        print(f"{name:32s} {value:.3f}" if isinstance(value, float) else f"{name:32s} {value}")
-    if options.out is not None:
-        write_json(options.out, figures)
+    report(figures, options.out)
     return 0
 
 

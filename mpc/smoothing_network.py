@@ -39,13 +39,6 @@ class Library:
     """One where ``|x| <= limit``, else zero."""
 
 
-def _casadi_product(a: Any, b: Any) -> Any:
-    try:
-        return casadi.mtimes(a, b, "classic")  # BLAS; fifty times faster for these sizes
-    except (NotImplementedError, TypeError):  # CasADi before 3.8 has no such argument
-        return casadi.mtimes(a, b)
-
-
 NUMPY = Library(
     part=lambda x, start, stop: x[..., start:stop, :],
     product=np.matmul,
@@ -60,7 +53,7 @@ NUMPY = Library(
 )
 CASADI = Library(
     part=lambda x, start, stop: x[start:stop, :],
-    product=_casadi_product,
+    product=lambda a, b: casadi.mtimes(a, b, "classic"),  # BLAS; fifty times faster for these sizes
     rows=lambda column, matrix: casadi.repmat(column, 1, matrix.shape[1]) * matrix,
     transpose=lambda a: a.T,
     stack=casadi.vertcat,

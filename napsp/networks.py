@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from abc import ABC, abstractmethod
 
 import torch
 from torch import Tensor, nn
@@ -128,7 +129,7 @@ class Critic(nn.Module):
         return torch.stack([net(inputs).squeeze(-1) for net in self.nets])
 
 
-class Policy(nn.Module):
+class Policy(nn.Module, ABC):
     """A policy pi(s, g) with actions in [-1, 1]^A; its first A outputs are the mode before tanh."""
 
     def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...], outputs_per_action: int) -> None:
@@ -145,9 +146,9 @@ class Policy(nn.Module):
         """The deterministic action ``(B, A)``."""
         return torch.tanh(self(observation, goal)[..., : self.n_actions])
 
+    @abstractmethod
     def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
         """A random action ``(B, A)`` for collecting episodes."""
-        raise NotImplementedError
 
 
 class GaussianPolicy(Policy):

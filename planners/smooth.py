@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.sampling import best_plans
+from planners.predictive_sampling import PredictiveSampling
 
 
-class Held:
-    """Keeps one plan of K knots with U controls, or takes a cheaper one that is proposed.
+class Held(PredictiveSampling):
+    """Keeps one plan of K knots with U controls, or takes a cheaper one that is proposed; adds no noise.
 
     Args:
         n_knots: K.
@@ -20,13 +20,8 @@ class Held:
     """
 
     def __init__(self, n_knots: int, n_controls: int, start: str = "policy") -> None:
-        self._shape, self._start = (n_knots, n_controls), start
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the plan: the next episode starts from zero."""
-        self.plan = np.zeros(self._shape)
-        self.effective_samples = 1.0
+        super().__init__(n_knots, n_controls)
+        self._start = start
 
     def sample(self, rng: np.random.Generator, proposals: np.ndarray | None = None) -> np.ndarray:
         """The plan and, from the policy, proposals ``(P, K, U)``."""
@@ -34,15 +29,6 @@ class Held:
         if proposals is not None and self._start == "policy":
             kept.append(proposals)
         return np.clip(np.concatenate(kept), -1.0, 1.0)
-
-    def update(self, knots: np.ndarray, costs: np.ndarray) -> None:
-        """Take the cheapest of ``knots`` ``(N, K, U)``; no finite cost keeps the plan."""
-        for index in best_plans(costs, 1):
-            self.plan = knots[index]
-
-    def shift(self, shift: np.ndarray) -> None:
-        """Warm start: move the plan on by one control step with a matrix ``(K, K)``."""
-        self.plan = shift @ self.plan
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ functions of ``(model, data)`` that environment and planner share.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import mujoco
@@ -113,7 +114,7 @@ def _joints_above(model: mujoco.MjModel, body: int) -> list[int]:
     return joints
 
 
-class ThinFetch:
+class ThinFetch(ABC):
     """A Fetch task with a thin step and, unless ``arm_self_collision``, a filtered arm.
 
     Without self-collision the arm's links still collide with table, wall and box, and gripper
@@ -133,8 +134,9 @@ class ThinFetch:
         self._arm_self_collision = arm_self_collision
         super().__init__(**kwargs)
 
+    @abstractmethod
     def _make_dynamics(self, model: mujoco.MjModel) -> Dynamics:
-        raise NotImplementedError
+        """The task's physics."""
 
     def _build_model(self) -> mujoco.MjModel:
         spec = mujoco.MjSpec.from_file(self.fullpath)
@@ -143,8 +145,8 @@ class ThinFetch:
             filter_collisions(spec, self.grasps)
         return spec.compile()
 
-    def _add_obstacles(self, spec: mujoco.MjSpec) -> None:
-        """Hook for variants."""
+    def _add_obstacles(self, spec: mujoco.MjSpec) -> None:  # noqa: B027 - most tasks have none
+        """Add what stands in the way."""
 
     def _initialize_simulation(self) -> None:
         self.model = self._build_model()

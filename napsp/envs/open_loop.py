@@ -6,6 +6,7 @@ actions to controls and of (qpos, qvel) to observations, and how an episode star
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import mujoco
@@ -38,7 +39,7 @@ class OpenLoopSimulation:
         mujoco.mj_setState(self._model, self._data, state, INTEGRATION_STATE)
 
 
-class OpenLoopDynamics:
+class OpenLoopDynamics(ABC):
     """Features are qpos then qvel; tasks add ``control`` and ``observe``."""
 
     open_loop = True
@@ -52,16 +53,16 @@ class OpenLoopDynamics:
         """Simulate on ``data``."""
         return OpenLoopSimulation(self, data)
 
+    @abstractmethod
     def control(self, actions: np.ndarray) -> np.ndarray:
         """Map actions ``(..., A)`` to control rows ``(..., U)``, float64."""
-        raise NotImplementedError
 
+    @abstractmethod
     def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turn features ``(..., F)`` into observation ``(..., O)`` and achieved goal ``(..., G)``."""
-        raise NotImplementedError
 
 
-class OpenLoopEnv(GoalEnv):
+class OpenLoopEnv(GoalEnv, ABC):
     """A goal task on open-loop dynamics. Reward: 0 within the threshold of the goal, else -1.
 
     Args:
@@ -106,9 +107,9 @@ class OpenLoopEnv(GoalEnv):
         self._simulation.observe(self._features[0])
         return self._observation(), {}
 
+    @abstractmethod
     def _start(self) -> None:
         """Reset the data, place the system, draw ``goal``."""
-        raise NotImplementedError
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Advance one control step. Never terminates: reaching a goal is not an end."""
