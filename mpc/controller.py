@@ -138,6 +138,7 @@ class Controller:
     def reset(self) -> None:
         """Forget the last episode's plan."""
         self.planner.reset()
+        self.engine.reset()
         if self.smoother is not None:
             self.smoother.reset()
         self._executed = []

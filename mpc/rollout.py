@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
+from mpc.workers import CAN_FORK, ForkedWorkers, shares
 from napsp.envs.dynamics import Dynamics
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -61,19 +62,33 @@ class RolloutEngine:
     """Rolls out action sequences from a full simulator state.
 
     Args:
-        dynamics: the task's physics.
-        n_threads: worker threads; default all cores. Results do not depend on it.
+        dynamics: the task's physics. Helper processes hold a copy of it as it was at the last
+            :meth:`reset`.
+        n_threads: simulations that run at once; default all cores. Results do not depend on it.
+        fork: let forked processes run them, which is a little faster than threads; default
+            where the operating system allows it.
     """
 
-    def __init__(self, dynamics: Dynamics, n_threads: int | None = None) -> None:
+    def __init__(self, dynamics: Dynamics, n_threads: int | None = None, fork: bool = CAN_FORK) -> None:
         self.dynamics = dynamics
         self.n_threads = n_threads or available_cores()
+        self._fork = fork
         # MjData takes megabytes: one per thread for good, never one per sample.
         self._datas = [mujoco.MjData(dynamics.model) for _ in range(self.n_threads)]
         self._simulations = [dynamics.bind(data) for data in self._datas]
         self._duration = dynamics.substeps * dynamics.model.opt.timestep
         self._pool: ThreadPoolExecutor | None = None
+        self._helpers: ForkedWorkers | None = None
         self._native: Rollout | None = None
+
+    @property
+    def helper_seconds(self) -> float:
+        """CPU time spent in helper processes since the last reset."""
+        return self._helpers.cpu_seconds if self._helpers else 0.0
+
+    def reset(self) -> None:
+        """Let helper processes see what has changed in the dynamics, as a new episode may bring."""
+        self._end_helpers()
 
     def rollout(self, state: np.ndarray, actions: np.ndarray, known: Followed | None = None) -> Trajectories:
         """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.dynamics.get_state`.
@@ -91,7 +106,7 @@ class RolloutEngine:
             features[is_known], final_times[is_known] = known.features[:horizon], known.times[horizon - 1]
         samples = np.flatnonzero(~is_known)
         if horizon:  # without: d(s, a, g) alone, nothing to simulate
-            run = self._run_native if self.dynamics.open_loop else self._run_threads
+            run = self._run_native if self.dynamics.open_loop else self._run_workers
             run(state, self.dynamics.control(actions), samples, features, final_times)
         # A simulation that blew up was reset by MuJoCo to finite values at time zero, so its
         # clock is behind; looking for NaN alone would let it win.
@@ -114,6 +129,29 @@ class RolloutEngine:
             current = self.dynamics.observe(features[step])[0]
         return Followed(np.stack(actions), features, times)
 
+    def _run_workers(
+        self,
+        state: np.ndarray,
+        controls: np.ndarray,
+        samples: np.ndarray,
+        features: np.ndarray,
+        final_times: np.ndarray,
+    ) -> None:
+        if self.n_threads == 1 or len(samples) < 2:
+            self._run_samples(0, state, samples, controls, features, final_times)
+        elif self._fork:
+            if self._helpers is None or not self._helpers.fit(controls):
+                self._end_helpers()
+                sizes = controls.shape[0] * controls.shape[1], controls.shape[2], features.shape[2]
+                self._helpers = ForkedWorkers(self._run_samples, self.n_threads - 1, *sizes)
+            try:
+                self._helpers.run(state, samples, controls, features, final_times)
+            except BaseException:  # Ctrl-C too: answers still under way would pass for the next call's
+                self._end_helpers()
+                raise
+        else:
+            self._run_threads(state, controls, samples, features, final_times)
+
     def _run_threads(
         self,
         state: np.ndarray,
@@ -124,15 +162,17 @@ class RolloutEngine:
     ) -> None:
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.n_threads)
-        # Interleaved samples balance contact-rich and free ones without a queue.
         jobs = [
-            self._pool.submit(
-                self._run_samples, worker, state, samples[worker :: self.n_threads], controls, features, final_times
-            )
-            for worker in range(self.n_threads)
+            self._pool.submit(self._run_samples, worker, state, share, controls, features, final_times)
+            for worker, share in enumerate(shares(samples, self.n_threads))
         ]
         for job in jobs:
             job.result()
+
+    def _end_helpers(self) -> None:
+        if self._helpers is not None:
+            self._helpers.close()
+        self._helpers = None
 
     def _run_samples(
         self,
@@ -171,7 +211,8 @@ class RolloutEngine:
         final_times[samples] = ends[:, -1, 0]
 
     def close(self) -> None:
-        """Stop the worker threads."""
+        """Stop the workers."""
+        self._end_helpers()
         if self._pool is not None:
             self._pool.shutdown()
         if self._native is not None:
@@ -179,7 +220,7 @@ class RolloutEngine:
         self._pool = self._native = None
 
     def __enter__(self) -> RolloutEngine:
-        """Use as a context manager to stop the threads at the end."""
+        """Use as a context manager to stop the workers at the end."""
         return self
 
     def __exit__(self, *exception: object) -> None:

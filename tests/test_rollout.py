@@ -1,5 +1,9 @@
 """Planned and executed trajectories are the same numbers, to the last bit."""
 
+import itertools
+import multiprocessing
+import os
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,6 +11,7 @@ from conftest import TASKS
 from scripted import play
 
 from mpc.rollout import RolloutEngine
+from mpc.workers import CAN_FORK
 from napsp.envs.dynamics import INTEGRATION_STATE, get_state
 
 STEPS = 25
@@ -33,8 +38,8 @@ def execute(world, actions):
     return tuple(np.array([row[key] for row in rows]) for key in ("observation", "achieved_goal"))
 
 
-def final_state(engine, worker):
-    data = engine._datas[worker]
+def final_state(engine):
+    data = engine._datas[0]
     return np.concatenate([data.qpos, data.qvel])
 
 
@@ -52,17 +57,17 @@ def start_grasp(world, seed, lift):
 
 def compare(world, engine, actions):
     """Largest difference between planned and executed numbers; executes the actions."""
-    batch = np.stack([actions[::-1], actions])
+    batch = np.stack([actions[::-1], actions, actions])  # worker 0 runs samples 0 and 2, worker 1 sample 1
     trajectories = engine.rollout(get_state(world.model, world.data), batch)
     assert not trajectories.diverged.any()
     observations, achieved = execute(world, actions)
     worst = max(
-        np.abs(observations - trajectories.observations[1]).max(),
-        np.abs(achieved - trajectories.achieved_goals[1]).max(),
+        np.abs(observations - trajectories.observations[1:]).max(),
+        np.abs(achieved - trajectories.achieved_goals[1:]).max(),
     )
-    if not world.dynamics.open_loop:  # sample 1 is the last one of worker 1
+    if not world.dynamics.open_loop:
         executed = np.concatenate([world.data.qpos, world.data.qvel])
-        worst = max(worst, np.abs(executed - final_state(engine, 1)).max())
+        worst = max(worst, np.abs(executed - final_state(engine)).max())
     return worst
 
 
@@ -185,11 +190,11 @@ def test_results_do_not_depend_on_threads(name, worlds):
     state = get_state(world.model, world.data)
     actions = np.random.default_rng(0).uniform(-1, 1, (7, 10, world.action_space.shape[0])).astype(np.float32)
     results = []
-    for n_threads in (1, 2, 3):
-        with RolloutEngine(world.dynamics, n_threads) as engine:
+    for n_threads, fork in itertools.product((1, 2, 3), (False, CAN_FORK)):
+        with RolloutEngine(world.dynamics, n_threads, fork) as engine:
             results.append(engine.rollout(state, actions).observations)
-    np.testing.assert_array_equal(results[0], results[1])
-    np.testing.assert_array_equal(results[0], results[2])
+    for result in results[1:]:
+        np.testing.assert_array_equal(results[0], result)
 
 
 class Explosive:
@@ -249,3 +254,53 @@ def test_divergence_is_detected_although_mujoco_resets_to_finite_values(open_loo
         trajectories = engine.rollout(get_state(dynamics.model, data), actions)
     assert trajectories.diverged.tolist() == [False, True, False]
     assert np.isfinite(trajectories.observations[:, -1]).all(), "a NaN test alone would have found nothing"
+
+
+class Stubborn(Explosive):
+    """Refuses to be controlled by worker 1, or dies there."""
+
+    def __init__(self, dies):
+        super().__init__(open_loop=False)
+        self.dies, self.bound = dies, 0
+
+    def bind(self, data):
+        bound = Bound(self, data)
+        if self.bound == 1:
+            bound.advance = self.fail
+        self.bound += 1
+        return bound
+
+    def fail(self, controls, features):
+        if self.dies:
+            os._exit(1)
+        raise ValueError("worker 1 will not")
+
+
+@pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")
+@pytest.mark.parametrize(("dies", "message"), [(False, "worker 1 will not"), (True, "has died")])
+def test_a_failing_helper_process_is_reported_and_replaced(dies, message):
+    dynamics = Stubborn(dies)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
+    with RolloutEngine(dynamics, 2) as engine:
+        with pytest.raises((ValueError, RuntimeError), match=message):
+            engine.rollout(state, actions)
+        engine._simulations[1].advance = engine._simulations[0].advance  # mended
+        engine._simulations[1].restore = engine._simulations[0].restore
+        engine._datas[1] = engine._datas[0]
+        assert not engine.rollout(state, actions).diverged.any(), "a fresh helper takes over"
+
+
+@pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")
+def test_helper_processes_see_a_changed_model_after_reset_and_end_on_close():
+    dynamics = Explosive(open_loop=False)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.full((4, 2, 1), 1e-9)
+    engine = RolloutEngine(dynamics, 2)
+    before = engine.rollout(state, actions).observations
+    dynamics.model.actuator_gear[0, 0] *= 2.0
+    engine.reset()
+    after = engine.rollout(state, actions).observations
+    assert (after[1] > before[1]).all()
+    np.testing.assert_array_equal(after[0], after[1])
+    (helper,) = engine._helpers._processes
+    engine.close()
+    assert not any(helper is child for child in multiprocessing.active_children())

@@ -1,0 +1,130 @@
+"""Forked helper processes that share a rollout's work with this one through shared memory.
+
+Threads would do, were it not for Python's reference counts: two cores that keep counting the
+same objects slow each other down, though each is inside MuJoCo nearly all the time.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import multiprocessing
+import signal
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+CAN_FORK = sys.platform == "linux"  # elsewhere system libraries do not survive a fork; threads do the work there
+
+Job = Callable[[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
+"""Called with worker, state ``(S,)``, samples ``(n,)``, controls ``(N, H, U)``, features ``(N, H, F)`` and final
+times ``(N,)``; simulates its samples and fills in their rows of the last two."""
+
+
+def shares(samples: np.ndarray, n_workers: int) -> list[np.ndarray]:
+    """Samples of each worker, interleaved, which balances contact-rich and free ones without a queue."""
+    return [samples[worker::n_workers] for worker in range(n_workers)]
+
+
+class ForkedWorkers:
+    """Helpers 1 .. n_helpers of a caller that is worker 0.
+
+    A helper is a copy of this process as it is now, so ``job`` may be bound to anything, and
+    what changes here later is not seen there. It runs numpy and MuJoCo only: nothing whose
+    threads a fork would lose.
+
+    Args:
+        job: what every worker runs on its own share.
+        n_helpers: processes to fork.
+        n_steps: the most control steps, N times H, of one call.
+        n_controls: U, floats per control step that go in.
+        n_features: F, floats per control step that come out.
+    """
+
+    def __init__(self, job: Job, n_helpers: int, n_steps: int, n_controls: int, n_features: int) -> None:
+        self._job = job
+        sizes = n_controls, n_features, 1
+        self._shared = [np.frombuffer(mmap.mmap(-1, 8 * n_steps * size)) for size in sizes]  # anonymous: ends with us
+        self._pipes: list[Connection] = []
+        self._processes = []
+        self.cpu_seconds = 0.0  # CPU time of the helpers so far
+        context = multiprocessing.get_context("fork")
+        for worker in range(1, n_helpers + 1):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=self._serve, args=(worker, ours, theirs), daemon=True)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns of any thread, see above
+                process.start()
+            theirs.close()
+            self._pipes.append(ours)
+            self._processes.append(process)
+
+    def fit(self, controls: np.ndarray) -> bool:
+        """Whether there is room for controls ``(N, H, U)``."""
+        return controls.size <= len(self._shared[0])
+
+    def run(
+        self,
+        state: np.ndarray,
+        samples: np.ndarray,
+        controls: np.ndarray,
+        features: np.ndarray,
+        final_times: np.ndarray,
+    ) -> None:
+        """Simulate ``samples`` on all workers.
+
+        Raises:
+            RuntimeError: a helper has died; close and fork anew.
+            Exception: what the job raised, here or in a helper.
+        """
+        shared = self._views(controls.shape, features.shape)
+        shared[0][:] = controls
+        own, *others = shares(samples, len(self._pipes) + 1)
+        shapes = controls.shape, features.shape
+        busy = [(pipe, share) for pipe, share in zip(self._pipes, others, strict=True) if len(share)]
+        try:
+            for pipe, share in busy:
+                pipe.send((state, share, shapes))
+            self._job(0, state, own, controls, features, final_times)
+            for pipe, share in busy:
+                reply = pipe.recv()
+                if isinstance(reply, Exception):
+                    raise reply
+                self.cpu_seconds += reply
+                features[share], final_times[share] = shared[1][share], shared[2][share]
+        except (EOFError, BrokenPipeError):
+            raise RuntimeError("a simulation process has died (out of memory?); use one thread") from None
+
+    def close(self) -> None:
+        """End the helpers, whatever they are at."""
+        for process, pipe in zip(self._processes, self._pipes, strict=True):
+            process.terminate()
+            process.join()
+            pipe.close()
+        self._processes, self._pipes = [], []
+
+    def _views(self, controls: tuple[int, ...], features: tuple[int, ...]) -> list[np.ndarray]:
+        shapes = controls, features, features[:1]
+        return [memory[: math.prod(s)].reshape(s) for memory, s in zip(self._shared, shapes, strict=True)]
+
+    def _serve(self, worker: int, callers_end: Connection, pipe: Connection) -> None:
+        """Life of a helper: until its pipe closes, because the caller has gone."""
+        callers_end.close()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's to handle
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        while True:
+            try:
+                state, samples, shapes = pipe.recv()
+            except EOFError:
+                return
+            start = time.process_time()
+            try:
+                self._job(worker, state, samples, *self._views(*shapes))
+            except Exception as error:  # raised again in the caller
+                pipe.send(error)
+            else:
+                pipe.send(time.process_time() - start)
