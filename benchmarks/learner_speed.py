@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -43,6 +43,8 @@ class LearnerSpeedOptions:
     """Interleaved rounds; figures are medians."""
     threads: int = 1
     """CPU threads of both."""
+    matmul_precision: Literal["highest", "medium"] = "highest"
+    """torch's precision of float32 matrix products, for both; medium multiplies in bfloat16 where there are units for it."""
     out: Path | None = None
     """JSON file for the figures."""
 
@@ -110,6 +112,7 @@ def main() -> int:
     if min(options.rounds, options.updates, options.threads) < 1:
         raise UserError("--rounds, --updates and --threads must be at least 1")
     torch.set_num_threads(options.threads)
+    torch.set_float32_matmul_precision(options.matmul_precision)
     config = preset(
         options.env, method="sparse", agent="sac", hidden=(options.width, options.width),
         batch_size=options.batch_size, n_policy_updates=options.updates, n_warmup_episodes=40,
@@ -130,6 +133,7 @@ def main() -> int:
         "hidden": list(config.hidden),
         "batch_size": options.batch_size,
         "threads": options.threads,
+        "matmul_precision": options.matmul_precision,
         "torch": torch.__version__,
         "revision": git_revision(),
         **{f"{name}_updates_per_second": float(np.median(values)) for name, values in rates.items()},

@@ -49,6 +49,9 @@ class TrainConfig:
     """Policy updates per iteration."""
     batch_size: int = 256
     """Samples per gradient step, for every network."""
+    matmul_precision: Literal["highest", "medium"] = "highest"
+    """torch's precision of float32 matrix products while training; medium lets processors with
+    bfloat16 units multiply up to four times faster, with 8-bit mantissas and float32 sums."""
 
     # -- distance network --
     hidden: tuple[int, ...] = (256, 256)
@@ -90,6 +93,8 @@ class TrainConfig:
     """Learner of the policy: sac, or ddpg (the paper's for pick-and-place)."""
     relabel_ratio: float = 0.8
     """Share of HER future goals, k / (k + 1); 0.8 is k = 4."""
+    other_goals_ratio: float = 0.0
+    """Share of goals taken from other episodes, desired and achieved ones in equal parts."""
     discount: float = 0.98
     """Discount of the policy's return."""
     policy_learning_rate: float = 1e-3
@@ -112,6 +117,8 @@ class TrainConfig:
     """Chance per step to start a random action."""
     exploration_hold: int = 6
     """A random action is held for 1 to this many steps; 1 is plain epsilon exploration."""
+    held_starts: float = 0.0
+    """Share of training episodes that begin with the box in the gripper (pick and place only)."""
 
     # -- evaluation --
     evaluate_every: int = 50
@@ -130,6 +137,10 @@ class TrainConfig:
             value = getattr(self, name)
             if value is not None and not low <= value <= high:  # false for NaN as well
                 raise UserError(f"{name} is {value}; it must lie between {low:g} and {high:g}")
+        if self.relabel_ratio + self.other_goals_ratio > 1:
+            raise UserError(
+                f"relabel_ratio {self.relabel_ratio} and other_goals_ratio {self.other_goals_ratio} exceed 1 together"
+            )
         if not self.hidden or min(self.hidden) < 1:
             raise UserError(f"hidden is {self.hidden}; give at least one width of at least 1")
         if self.n_episodes <= self.n_warmup_episodes:
@@ -160,7 +171,15 @@ class TrainConfig:
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
 
 
-ADDED = {"agent": "sac", "action_noise": 0.2, "action_penalty": 1.0, "rescale": False}
+ADDED = {
+    "agent": "sac",
+    "action_noise": 0.2,
+    "action_penalty": 1.0,
+    "rescale": False,
+    "matmul_precision": "highest",
+    "other_goals_ratio": 0.0,
+    "held_starts": 0.0,
+}
 MANY, TINY = 10**9, 1e-12
 RANGES: dict[str, tuple[float, float]] = {
     "seed": (0, 2**31 - 1),
@@ -180,6 +199,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "triangular_weight": (0, MANY),
     "ddl_window": (1, MANY),
     "relabel_ratio": (0, 1),
+    "other_goals_ratio": (0, 1),
     "discount": (0, 1 - 1e-6),
     "policy_learning_rate": (TINY, 1),
     "polyak": (TINY, 1),
@@ -188,6 +208,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "action_noise": (0, 100),
     "action_penalty": (0, MANY),
     "epsilon": (0, 1),
+    "held_starts": (0, 1),
     "exploration_hold": (1, MANY),
     "evaluate_every": (1, MANY),
     "n_evaluation_episodes": (1, MANY),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -16,9 +17,16 @@ Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps observations ``(E, O)`` and goals ``(E, G)`` to actions ``(E, A)`` in [-1, 1]."""
 
 
-def roll(envs: list[gymnasium.Env], actor: Actor, seeds: list[int], horizon: int) -> Episodes:
-    """Run one episode of ``horizon`` steps in each environment, in lockstep."""
-    starts = [env.reset(seed=seed)[0] for env, seed in zip(envs, seeds, strict=True)]
+def roll(
+    envs: list[gymnasium.Env],
+    actor: Actor,
+    seeds: list[int],
+    horizon: int,
+    options: list[dict[str, Any]] | None = None,
+) -> Episodes:
+    """Run one episode of ``horizon`` steps in each environment, in lockstep; ``options`` are its reset's."""
+    resets = zip(envs, seeds, options or [{}] * len(envs), strict=True)
+    starts = [env.reset(seed=seed, options=chosen)[0] for env, seed, chosen in resets]
     n, spaces = len(envs), envs[0].observation_space.spaces  # type: ignore[attr-defined]
     observations = np.empty((n, horizon + 1, *spaces["observation"].shape), np.float32)
     achieved = np.empty((n, horizon + 1, *spaces["achieved_goal"].shape), np.float32)

@@ -146,7 +146,9 @@ class Learner:
         if not config.n_policy_updates:
             return {}
         n_sampled = config.n_policy_updates * config.batch_size
-        drawn = sample_relabelled(episodes, n_sampled, config.relabel_ratio, self._sparse_reward, self.rng)
+        drawn = sample_relabelled(
+            episodes, n_sampled, config.relabel_ratio, config.other_goals_ratio, self._sparse_reward, self.rng
+        )
         mean_distance = float("nan")
         rewards = torch.from_numpy(drawn.rewards)
         if config.learns_distance:  # with today's d: stored rewards would be stale

@@ -74,6 +74,7 @@ class Run:
     revisions: list[str]
     interrupted: bool = False
     _previous_handler: Any = signal.SIG_DFL
+    _previous_precision: str = "highest"
 
     @classmethod
     def open(cls, config: TrainConfig, folder: Path, restart: bool, tensorboard: bool) -> Run:
@@ -101,6 +102,8 @@ class Run:
         if iteration < run.n_iterations:
             (folder / RECORD_FILE).unlink(missing_ok=True)  # it belongs to a shorter run
         run._previous_handler = signal.signal(signal.SIGINT, run._interrupt)
+        run._previous_precision = torch.get_float32_matmul_precision()
+        torch.set_float32_matmul_precision(config.matmul_precision)
         return run
 
     @property
@@ -116,7 +119,7 @@ class Run:
             policy, self.sizes[1], config.epsilon, config.exploration_hold, learner.rng, learner.generator
         )
         seeds = [int(seed) for seed in learner.rng.integers(EVALUATION_SEED, size=len(self.envs))]
-        return roll(self.envs, actor, seeds, config.horizon)
+        return roll(self.envs, actor, seeds, config.horizon, _starts(config, len(self.envs), learner.rng))
 
     def finish_iteration(self, iteration: int, metrics: Row) -> bool:
         """Evaluate and save when due; return True to stop."""
@@ -172,6 +175,7 @@ class Run:
     def close(self) -> None:
         """Release environments; say how to go on after an interruption."""
         signal.signal(signal.SIGINT, self._previous_handler)
+        torch.set_float32_matmul_precision(self._previous_precision)
         self.progress.close()
         for env in self.envs:
             env.close()
@@ -183,6 +187,8 @@ def new_learner(config: TrainConfig, envs: list[Any], warmup: Episodes | None = 
     """The learner before iteration 0; collects the warm-up episodes unless they are given."""
     torch.manual_seed(config.seed)  # initial weights
     rng, generator = np.random.default_rng(config.seed), torch.Generator().manual_seed(config.seed)
+    if config.held_starts and not getattr(envs[0].unwrapped, "grasps", False):
+        raise UserError(f"{config.env} has no box to hold; use --held-starts 0")
     if warmup is None:
         warmup = _warm_up(envs, config, rng, generator)
     return Learner(config, sizes_of(envs[0]), warmup, _sparse_reward(envs[0]), rng, generator)
@@ -194,8 +200,13 @@ def _warm_up(envs: list[Any], config: TrainConfig, rng: np.random.Generator, gen
     for _ in range(_round_up(config.n_warmup_episodes, len(envs)) // len(envs)):
         actor = ExploringActor(None, envs[0].action_space.shape[0], 1.0, config.exploration_hold, rng, generator)
         seeds = [int(seed) for seed in rng.integers(EVALUATION_SEED, size=len(envs))]
-        parts.append(roll(envs, actor, seeds, config.horizon))
+        parts.append(roll(envs, actor, seeds, config.horizon, _starts(config, len(envs), rng)))
     return concatenate(parts)
+
+
+def _starts(config: TrainConfig, n: int, rng: np.random.Generator) -> list[dict[str, bool]] | None:
+    """Reset options of n training episodes."""
+    return [{"box_held": bool(held)} for held in rng.random(n) < config.held_starts] if config.held_starts else None
 
 
 def sizes_of(env: Any) -> tuple[int, int, int]:

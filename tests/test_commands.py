@@ -142,6 +142,8 @@ def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
         (["napsp.train", "--discount", "1"], "discount is 1.0; it must lie between"),
         (["benchmarks.rollout_speed", "--samples", "0"], "--samples is 0"),
         (["benchmarks.coverage", "--env", "fetch_reach"], "point_maze and point_maze_long only"),
+        (["napsp.train", "--env", "point_maze", "--held-starts", "0.5"], "point_maze has no box to hold"),
+        (["napsp.train", "--other-goals-ratio", "0.5"], "exceed 1 together"),
         (["napsp.train", "--batch-size", "0"], "batch_size is 0; it must lie between 1"),
     ],
 )

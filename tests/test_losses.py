@@ -51,7 +51,7 @@ def test_her_future_goals_and_rewards():
     def reward(achieved, goals):
         return -(np.abs(achieved - goals)[:, 0] > 0.5).astype(np.float32)
 
-    batch = sample_relabelled(episodes, 50_000, 0.8, reward, np.random.default_rng(0))
+    batch = sample_relabelled(episodes, 50_000, 0.8, 0.0, reward, np.random.default_rng(0))
     start, goal = batch.observations[:, 0], batch.goals[:, 0]
     original = goal == 100 * (start // 100) + 56
     assert original.mean() == pytest.approx(0.2, abs=0.01)
@@ -60,6 +60,22 @@ def test_her_future_goals_and_rewards():
     assert (ahead <= 6 - start[~original] % 100).all()
     np.testing.assert_array_equal(batch.next_observations[:, 0], start + 1)
     np.testing.assert_array_equal(batch.rewards == 0, goal == start + 1)
+
+
+def test_goals_of_other_episodes_are_wanted_and_achieved_ones_in_equal_parts():
+    episodes = chain_episodes(200)
+
+    def reward(achieved, goals):
+        return -(np.abs(achieved - goals)[:, 0] > 0.5).astype(np.float32)
+
+    batch = sample_relabelled(episodes, 50_000, 0.3, 0.6, reward, np.random.default_rng(0))
+    goal, episode = batch.goals[:, 0], batch.observations[:, 0] // 100
+    wanted, own = goal % 100 == 56, goal // 100 == episode
+    assert (own & wanted).mean() == pytest.approx(0.1, abs=0.01)  # left as they were
+    assert (own & ~wanted).mean() == pytest.approx(0.3, abs=0.01)  # future
+    assert (~own & wanted).mean() == pytest.approx(0.3, abs=0.01)
+    assert (~own & ~wanted).mean() == pytest.approx(0.3, abs=0.01)
+    np.testing.assert_array_equal(batch.rewards == 0, goal == batch.next_observations[:, 0])
 
 
 # -- counts and eq. 2 --

@@ -124,6 +124,21 @@ def test_scripted_pick_and_place(name, lift, least, most, worlds):
     assert least <= successes <= most
 
 
+@pytest.mark.parametrize("name", ["fetch_pick_place", "fetch_pick_place_wall"])
+def test_an_episode_may_begin_with_the_box_held(name, worlds):
+    world = worlds[name]
+    lift = np.array([0.0, 0.0, 1.0, -1.0], np.float32)
+    for seed in range(10):
+        table = world.reset(seed=seed)[0]["observation"][5]
+        observation, goal = world.reset(seed=seed, options={"box_held": True})[0], world.goal
+        assert observation["observation"][5] == pytest.approx(table, abs=0.02)
+        np.testing.assert_array_equal(goal, world.reset(seed=seed)[0]["desired_goal"])
+        world.reset(seed=seed, options={"box_held": True})
+        for _ in range(6):
+            observation = world.step(lift)[0]
+        assert observation["observation"][5] > table + 0.08, "a held box comes along"
+
+
 def test_the_wall_stops_gripper_and_box(worlds):
     world = worlds["fetch_pick_place_wall"]
     for seed in range(8):

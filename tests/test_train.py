@@ -114,6 +114,14 @@ def test_rescaling_counts_everything_again(tmp_path):
     assert not torch.equal(often["policy.scaling.goal_scale"], once["policy.scaling.goal_scale"])
 
 
+def test_reduced_precision_is_for_the_training_alone(tmp_path):
+    assert tiny().hash() == TrainConfig(**{**tiny().to_dict(), "matmul_precision": "highest"}).hash()
+    assert tiny().hash() != tiny(matmul_precision="medium").hash()
+    rough = train(tiny(matmul_precision="medium"), tmp_path / "rough")
+    assert torch.get_float32_matmul_precision() == "highest"
+    assert learned(train(tiny(matmul_precision="medium"), tmp_path / "again")) == learned(rough)
+
+
 def test_interrupt_saves_and_the_same_command_goes_on(tmp_path, capsys):
     config = tiny(n_episodes=4000)
 

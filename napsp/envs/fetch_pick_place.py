@@ -16,6 +16,7 @@ import numpy as np
 from gymnasium_robotics.envs.fetch.pick_and_place import MujocoFetchPickAndPlaceEnv
 
 from napsp.envs.fetch_arm import GRIPPER_ROTATION, FetchDynamics, FetchSimulation, ThinFetch, Walled
+from napsp.envs.grasp import grasp
 
 SINGULAR = np.finfo(np.float64).eps * 4.0  # below this cosine of the pitch, Euler angles degenerate
 
@@ -145,6 +146,18 @@ class FetchPickPlaceEnv(ThinFetch, MujocoFetchPickAndPlaceEnv):
     def __init__(self, augmented_goal: bool = True, **kwargs: Any) -> None:
         self.augmented_goal = augmented_goal
         super().__init__(**kwargs)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+        """Begin an episode; with ``options={"box_held": True}`` the gripper has the box already."""
+        observation, info = super().reset(seed=seed, options=options)
+        if (options or {}).get("box_held"):
+            grasp(observation["observation"], self._act)
+            observation = self._get_obs()
+        return observation, info
+
+    def _act(self, action: np.ndarray) -> np.ndarray:
+        self._advance(self.dynamics.control(action))
+        return self._observation()["observation"]
 
     def _make_dynamics(self, model: mujoco.MjModel) -> FetchPickPlaceDynamics:
         return FetchPickPlaceDynamics(model, self.augmented_goal)
