@@ -44,7 +44,7 @@ class LearnerSpeedOptions:
     threads: int = 1
     """CPU threads of both."""
     matmul_precision: Literal["highest", "medium"] = "highest"
-    """torch's precision of float32 matrix products, for both; medium multiplies in bfloat16 where there are units for it."""
+    """torch's precision of float32 matrix products, for both; medium multiplies in bfloat16 if it can."""
     out: Path | None = None
     """JSON file for the figures."""
 
