@@ -24,6 +24,8 @@ def run(planner: str, arguments: list[str]) -> int:
 
     Ctrl-C ends the episodes early; what was done is still reported.
     """
+    options = tyro.cli(OPTIONS[planner], args=arguments, prog=f"python -m planners.{planner}")
+
     import torch
 
     from napsp.envs import file_name
@@ -31,7 +33,6 @@ def run(planner: str, arguments: list[str]) -> int:
     from planners.session import Session
     from planners.video import Video
 
-    options = tyro.cli(OPTIONS[planner], args=arguments, prog=f"python -m planners.{planner}")
     torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
     session = Session.open(planner, options)
     default = f"{file_name(session.env_name)}-{planner}-{options.cost.replace(':', '-')}-s{options.seed}"
@@ -45,8 +46,8 @@ def run(planner: str, arguments: list[str]) -> int:
         warnings.simplefilter("default")
         try:
             for episode in range(options.episodes):
-                watch = video if episode < options.video_episodes else None
-                report.add(session.run_episode(options.seed + episode, watch))
+                watchers = [video] if video is not None and episode < options.video_episodes else []
+                report.add(session.run_episode(options.seed + episode, watchers))
         except KeyboardInterrupt:
             if not report.results:
                 raise
