@@ -9,7 +9,7 @@ from pathlib import Path
 import tyro
 
 from napsp.errors import run_command
-from planners.gl import choose_gl
+from planners.gl import choose_gl, require_display
 from planners.options import OPTIONS
 
 
@@ -25,6 +25,8 @@ def run(planner: str, arguments: list[str]) -> int:
     Ctrl-C ends the episodes early; what was done is still reported.
     """
     options = tyro.cli(OPTIONS[planner], args=arguments, prog=f"python -m planners.{planner}")
+    if options.render == "human":
+        require_display()
 
     import torch
 
@@ -41,7 +43,7 @@ def run(planner: str, arguments: list[str]) -> int:
     report = Report(folder, session)
     report.announce()
     (folder / "video.mp4").unlink(missing_ok=True)  # an older run's would look like this one's
-    video = Video(folder / "video.mp4", session.env.unwrapped) if options.video else None
+    video = Video(folder / "video.mp4", session.env.unwrapped) if options.video and options.render == "none" else None
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         try:
@@ -54,6 +56,8 @@ def run(planner: str, arguments: list[str]) -> int:
             report.note(f"interrupted after {len(report.results)} of {options.episodes} episodes")
     if video is not None:
         report.note(video.close())
+    elif options.render == "human":
+        report.note("no video: the episodes were shown in the viewer")
     report.finish(session.raw_speed_fraction())
     session.close()
     return 0 if len(report.results) == options.episodes else 130

@@ -74,7 +74,8 @@ class Session:
         model = load_model(options.checkpoint or shipped_model(env_name), env_name) if needs_model else None
         if options.cost == "distance" and model is not None and model.distance is None:
             raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
-        env = tasks.make(env_name)
+        # Classes of the user's own need not know render modes, so none is named unless one is asked for.
+        env = tasks.make(env_name, **({"render_mode": "human"} if options.render == "human" else {}))
         world: Any = env.unwrapped
         horizon = options.steps_ahead
         if options.knots is not None and options.knots > horizon:
