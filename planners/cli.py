@@ -31,6 +31,7 @@ def run(planner: str, arguments: list[str]) -> int:
     import torch
 
     from napsp.envs import file_name
+    from planners.distance_field import DistanceField
     from planners.report import Report
     from planners.session import Session
     from planners.video import Video
@@ -42,14 +43,20 @@ def run(planner: str, arguments: list[str]) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     report = Report(folder, session)
     report.announce()
-    (folder / "video.mp4").unlink(missing_ok=True)  # an older run's would look like this one's
+    for name in ("video.mp4", "distance_field.png"):
+        (folder / name).unlink(missing_ok=True)  # an older run's would look like this one's
     video = Video(folder / "video.mp4", session.env.unwrapped) if options.video and options.render == "none" else None
+    field = DistanceField(session) if DistanceField.drawable(session) else None
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         try:
             for episode in range(options.episodes):
-                watchers = [video] if video is not None and episode < options.video_episodes else []
-                report.add(session.run_episode(options.seed + episode, watchers))
+                watching = (video if episode < options.video_episodes else None, field if episode == 0 else None)
+                result = session.run_episode(options.seed + episode, [w for w in watching if w is not None])
+                report.add(result)
+                if field is not None and episode == 0:
+                    field.draw(folder / "distance_field.png", result)
+                    report.note(f"distance field of the first episode: {folder}/distance_field.png")
         except KeyboardInterrupt:
             if not report.results:
                 raise
