@@ -13,7 +13,6 @@ import numpy as np
 import tyro
 
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
-from benchmarks.value_maps import draw_walls
 from napsp import envs as tasks
 from napsp.checkpoint import read_tensors
 from napsp.config import METHODS, preset
@@ -21,6 +20,7 @@ from napsp.errors import UserError, run_command
 from napsp.progress import read_rows
 from napsp.record import save_figure
 from napsp.resume import STATE_FILE
+from planners.maze_map import draw_walls
 
 
 @dataclass(frozen=True)

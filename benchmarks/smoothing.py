@@ -21,8 +21,9 @@ from napsp.checkpoint import git_revision
 from napsp.errors import UserError, run_command
 from napsp.record import save_figure
 from napsp.statistics import describe, paired_difference, wilson_interval
+from planners.episode import EpisodeResult
 from planners.options import OPTIONS
-from planners.session import EpisodeResult, Session
+from planners.session import Session
 
 PLAIN, SMOOTHED = "plain", "smoothed"
 VARIANTS: dict[str, dict[str, Any]] = {

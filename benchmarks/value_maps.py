@@ -9,21 +9,21 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 import tyro
 
 from benchmarks.cells import RESULTS, trained
+from mpc.cost import LearnedSteps
 from napsp import envs as tasks
 from napsp.checkpoint import load_model, read_tensors
 from napsp.config import METHODS, preset
-from napsp.envs.point_maze import INNER_WALLS, OUTER_WALLS
 from napsp.errors import UserError, run_command
 from napsp.networks import Critic
 from napsp.record import save_figure
 from napsp.resume import STATE_FILE
+from planners.maze_map import BINS, at_rest, draw_field, steps_field
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class MapOptions:
     """point_maze or point_maze_long."""
     seed: int = 0
     """Training seed."""
-    bins: int = 60
+    bins: int = BINS
     """Points per side."""
 
 
@@ -51,30 +51,16 @@ def load_critic(folder: Path, sizes: tuple[int, int, int], hidden: tuple[int, ..
 def maps(folder: Path, env_name: str, scale: float, bins: int) -> dict[str, np.ndarray]:
     """Value and distance ``(bins, bins)`` [y, x]; the distance is missing for ``sparse``."""
     model = load_model(folder, env_name)
-    centres = (np.arange(bins) + 0.5) / bins * 2 * scale - scale
-    x, y = np.meshgrid(centres, centres)
-    rows = np.stack([x.ravel(), y.ravel(), np.zeros(x.size), np.zeros(x.size)], axis=1)
-    states = torch.from_numpy(rows.astype(np.float32))
-    goals = torch.tensor([0.5, 0.5]).mul(scale).expand(len(states), -1)
+    goal = np.array([0.5, 0.5]) * scale
+    states = torch.from_numpy(at_rest(scale, bins).astype(np.float32))
+    goals = torch.from_numpy(goal.astype(np.float32)).expand(len(states), -1)
     critic = load_critic(folder, tuple(model.header["sizes"]), model.config.hidden)
     with torch.inference_mode():
-        actions = model.policy.mode(states, goals)
-        found = {"value": critic(states, actions, goals).amin(0)}
-        if model.distance is not None:
-            found["d [steps]"] = model.distance.steps(states, actions, goals)
-    return {name: values.numpy().reshape(bins, bins) for name, values in found.items()}
-
-
-def draw_walls(axis: Any, scale: float) -> None:
-    """The walls of the house as black boxes."""
-    from matplotlib.patches import Rectangle
-
-    for x, y, half_x, half_y in INNER_WALLS + OUTER_WALLS:
-        corner = (x - half_x - 0.015) * scale, (y - half_y - 0.015) * scale
-        axis.add_patch(Rectangle(corner, 2 * (half_x + 0.015) * scale, 2 * (half_y + 0.015) * scale, color="black"))
-    axis.set(
-        xticks=[], yticks=[], aspect="equal", xlim=(-1.05 * scale, 1.05 * scale), ylim=(-1.05 * scale, 1.05 * scale)
-    )
+        values = critic(states, model.policy.mode(states, goals), goals).amin(0)
+    found = {"value": values.numpy().reshape(bins, bins)}
+    if model.distance is not None:
+        found["d [steps]"] = steps_field(LearnedSteps(model), scale, goal, bins)
+    return found
 
 
 def main() -> int:
@@ -99,10 +85,8 @@ def main() -> int:
                 axis.axis("off")
                 continue
             colours = "viridis" if name == "value" else "viridis_r"
-            image = axis.imshow(found[name], origin="lower", extent=[-scale, scale] * 2, cmap=colours)
-            figure.colorbar(image, ax=axis, shrink=0.7)
+            figure.colorbar(draw_field(axis, found[name], scale, colours), ax=axis, shrink=0.7)
             axis.plot(0.5 * scale, 0.5 * scale, "r*")
-            draw_walls(axis, scale)
     path = RESULTS / f"figure4_{env_name}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)

@@ -93,6 +93,11 @@ class Plan:
     milliseconds: float
     smoothing_ms: float = 0.0
 
+    def cheapest(self, n: int) -> np.ndarray:
+        """Indices of the (at most) n samples of least cost, the best first; diverged ones are left out."""
+        finite = np.flatnonzero(np.isfinite(self.costs))
+        return finite[np.argsort(self.costs[finite])][:n]
+
 
 class Controller:
     """Plans from the true state of an environment.
@@ -179,6 +184,12 @@ class Controller:
         return Plan(
             plan[0], plan, trajectories, costs, effective_samples, 1e3 * (ended - started), 1e3 * (ended - sampled)
         )
+
+    def cost_of(self, env: Any, observation: dict[str, np.ndarray], actions: np.ndarray) -> float:
+        """What a plan ``(H, A)`` costs from the current state of ``env``, in steps, by rolling it out alone."""
+        plans, n_simulated = actions[None], self.cost.simulated_steps(self.horizon)
+        trajectories = self.engine.rollout(get_state(env.model, env.data), plans[:, :n_simulated])
+        return float(self.cost(observation, trajectories, plans, observation["desired_goal"])[0])
 
     def _smooth(
         self, smoother: Smoother, state: np.ndarray, observation: dict[str, np.ndarray], plan: np.ndarray

@@ -1,4 +1,4 @@
-"""Choosing an off-screen renderer before mujoco is imported."""
+"""Choosing how to draw, off-screen or in a window, before mujoco is imported."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import ctypes.util
 import os
 import subprocess
 import sys
+import warnings
+
+from napsp.errors import UserError
 
 PROBE = "import mujoco; mujoco.GLContext(16, 16).make_current()"
 
@@ -15,12 +18,36 @@ def choose_gl() -> None:
 
     mujoco reads the variable once, on import, and without a display its default fails.
     """
-    if "MUJOCO_GL" in os.environ or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+    if "MUJOCO_GL" in os.environ or _names_display():
         return
     names = [name for library, name in (("EGL", "egl"), ("OSMesa", "osmesa")) if ctypes.util.find_library(library)]
     if len(names) > 1 and not _works("egl"):  # the EGL library may be there without a device
         names.remove("egl")
     os.environ["MUJOCO_GL"] = names[0] if names else "disable"
+
+
+def require_display() -> None:
+    """Make sure that a window can be opened.
+
+    Raises:
+        UserError: there is no display, or it does not answer.
+    """
+    if not _names_display():
+        raise UserError("--render human needs a display (DISPLAY or WAYLAND_DISPLAY); leave it out and watch the video")
+    os.environ["MUJOCO_GL"] = "glfw"  # what the window draws with; another choice concerns off-screen frames only
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # glfw reports as a warning what the error below says
+        answers = glfw.init() and glfw.get_primary_monitor()
+    if not answers:
+        name = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        raise UserError(f"--render human needs a display, and {name} does not answer; leave it out and watch the video")
+
+
+def _names_display() -> bool:
+    # Elsewhere than on Linux there is one without being named.
+    return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 def _works(name: str) -> bool:

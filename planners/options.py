@@ -84,6 +84,9 @@ class PlanOptions:
     """Render the first episodes with the goal and the sampled plans."""
     video_episodes: int = 2
     """How many episodes the video shows."""
+    render: Literal["none", "human"] = "none"
+    """human: watch the episodes in Gymnasium's viewer as they run. It needs a display, and no video is made then:
+    off-screen frames and the window would compete for OpenGL."""
     threads: int | None = None
     """Simulation threads; default all cores. Plans do not depend on it."""
     smooth: bool = False
@@ -117,7 +120,7 @@ class PlanOptions:
 
     def hash(self) -> str:
         """Short hash of how plans are made: equal hashes plan alike with equal checkpoints and seeds."""
-        elsewhere = ("episodes", "seed", "checkpoint", "out", "video", "video_episodes", "threads")
+        elsewhere = ("episodes", "seed", "checkpoint", "out", "video", "video_episodes", "render", "threads")
         # Added after results existed: without them, plans are made as before.
         idle = [k for k, v in (("smooth", self.smooth), ("low_pass", self.low_pass)) if not v]
         idle += [] if self.smooth else [k for k in asdict(self) if k.startswith("smooth_")]

@@ -1,4 +1,4 @@
-"""What a planning command leaves behind: live lines, a table, JSON, CSV and a plot."""
+"""What a planning command leaves behind: live lines, a table, JSON, CSV and plots."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from rich.console import Console
 from rich.table import Table
 
 from napsp.checkpoint import write_atomically, write_json
-from napsp.record import save_figure
 from napsp.statistics import describe, wilson_interval
-from planners.session import EpisodeResult, Session
+from planners.episode import COLUMNS, EpisodeResult
+from planners.plots import plot_distance_to_go, plot_steps
+from planners.session import Session
 
 
 class Report:
@@ -24,6 +25,7 @@ class Report:
         self._folder, self._session = folder, session
         self.results: list[EpisodeResult] = []
         self._notes: list[str] = []
+        self._steps = [",".join(COLUMNS)]  # lines of steps.csv
         # A file or a pipe has no width; a fixed one keeps lines whole.
         self._console = Console(width=None if Console().is_terminal else 110)
 
@@ -45,6 +47,8 @@ class Report:
         """Record an episode and print its line."""
         self.results.append(result)
         write_atomically(self._folder / "episodes.csv", self._csv().encode())
+        self._steps += [",".join(row) for row in result.rows(len(self.results))]
+        write_atomically(self._folder / "steps.csv", ("\n".join(self._steps) + "\n").encode())
         n, total = len(self.results), self._session.options.episodes
         hit = f"first hit after {result.first_hit:3d} steps" if result.first_hit else "never at the goal      "
         left = np.mean([r.seconds for r in self.results]) * (total - n)
@@ -55,10 +59,11 @@ class Report:
         )
 
     def finish(self, raw_speed_fraction: float) -> None:
-        """Write summary.json, episodes.csv and the plot; print the table."""
+        """Write summary.json and the plots; print the table."""
         summary = self.summary(raw_speed_fraction)
         write_json(self._folder / "summary.json", summary)
         plot_distance_to_go(self._folder / "distance_to_go.png", self._session, self.results)
+        plot_steps(self._folder / "steps.png", self._session, self.results)
         self._print(summary)
 
     def summary(self, raw_speed_fraction: float) -> dict[str, Any]:
@@ -67,6 +72,7 @@ class Report:
         hits = [r.first_hit for r in results if r.first_hit is not None]
         successes = sum(r.success for r in results)
         plan_ms = np.concatenate([r.plan_ms for r in results])
+        period_ms = 1e3 * self._session.control_period
         return {
             **self._session.summary(),
             "episodes": n,
@@ -78,6 +84,8 @@ class Report:
             "median_steps_to_goal": float(np.median(hits)) if hits else None,
             "plan_ms_median": float(np.median(plan_ms)),
             "plan_ms_p95": float(np.percentile(plan_ms, 95)),
+            "control_period_ms": period_ms,
+            "keeps_control_rate": bool(np.median(plan_ms) <= period_ms),
             "raw_speed_fraction": raw_speed_fraction,
             "mean_action_rate": float(np.mean([r.action_rate for r in results])),
             "mean_jerk": float(np.mean([r.jerk for r in results])),
@@ -130,28 +138,17 @@ class Report:
                 f"verify {smoothing['verify_ms']:.1f}; built once in {smoothing['build_ms']:.1f}",
                 highlight=False,
             )
+        if not summary["keeps_control_rate"]:
+            self._console.print(
+                f"warning: a plan call takes {summary['plan_ms_median']:.3g} ms (median), more than the control period "
+                f"of {summary['control_period_ms']:.3g} ms: the simulation waited for the planner, a robot would not; "
+                "use fewer --samples, a shorter --horizon or more --threads",
+                highlight=False,
+                soft_wrap=True,
+            )
         for line in self._notes:
             self._console.print(line, highlight=False)
-        self._console.print(f"results: {self._folder}/summary.json, episodes.csv, distance_to_go.png", highlight=False)
-
-
-def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResult]) -> None:
-    """Draw the cost's steps to go and the straight-line gap over the steps of each episode."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
-    for result in results:
-        color = "tab:blue" if result.success else "tab:red"
-        steps = np.arange(1, len(result.gaps) + 1)
-        left.plot(steps, result.to_go, color=color, alpha=0.5, linewidth=1)
-        right.plot(steps, result.gaps, color=color, alpha=0.5, linewidth=1)
-    left.set(xlabel="control step", ylabel="steps to go", title=f"cost: {session.options.cost}")
-    right.set(xlabel="control step", ylabel="gap to the goal [m]", title="blue: success, red: failure")
-    right.axhline(session.env.unwrapped.goal_radius, color="black", linestyle=":", linewidth=1)
-    for axis in (left, right):
-        axis.set_ylim(bottom=0)
-    figure.suptitle(f"{session.env_name}, {session.planner}, {len(results)} episodes")
-    save_figure(figure, path)
+        self._console.print(
+            f"results: {self._folder}/summary.json, episodes.csv, steps.csv, steps.png, distance_to_go.png",
+            highlight=False,
+        )

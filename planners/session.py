@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import time
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,12 +22,12 @@ from napsp.envs.dynamics import get_state
 from napsp.errors import UserError, load_object
 from napsp.greedy import GreedyPolicy
 from planners.cem import CEM
+from planners.episode import EpisodeResult, Step
 from planners.icem import ICEM
 from planners.mppi import MPPI
 from planners.options import PlanOptions
 from planners.predictive_sampling import PredictiveSampling
 from planners.smooth import Held
-from planners.video import Video
 
 PLANNERS: dict[str, Any] = {
     "mppi": MPPI,
@@ -40,37 +41,12 @@ PLANNERS: dict[str, Any] = {
 N_EFFECTOR = {"point_maze": 2, "point_maze_long": 2, "claw": 9}  # Fetch: the grip's position
 
 
-@dataclass(frozen=True)
-class EpisodeResult:
-    """One planned episode.
+class Watcher(Protocol):
+    """Looks on while an episode is planned; see :class:`planners.video.Video`."""
 
-    Attributes:
-        seed: seed of start and goal.
-        success: at the goal in the last step.
-        first_hit: control steps until the goal was first reached; None if never.
-        final_gap: straight-line gap to the goal at the end, metres in the world.
-        to_go: the cost's estimate of steps to go at each state, ``(T,)``.
-        gaps: straight-line gap at each state, metres, ``(T,)``.
-        plan_ms: milliseconds of each plan call, ``(T,)``.
-        smoothing_ms: the part of it that went into smoothing, ``(T,)``.
-        actions: what was executed, ``(T, A)``.
-        action_rate: mean squared change from one action to the next.
-        jerk: root mean square of the end effector's jerk, m/s^3 (claw: of its joints, rad/s^3).
-        seconds: wall time of the episode.
-    """
-
-    seed: int
-    success: bool
-    first_hit: int | None
-    final_gap: float
-    to_go: list[float]
-    gaps: list[float]
-    plan_ms: list[float]
-    smoothing_ms: list[float]
-    actions: np.ndarray
-    action_rate: float
-    jerk: float
-    seconds: float
+    def frame(self, observation: dict[str, np.ndarray], plan: Plan) -> None:
+        """Called at every control step before the plan's action is executed."""
+        ...
 
 
 class Session:
@@ -98,7 +74,8 @@ class Session:
         model = load_model(options.checkpoint or shipped_model(env_name), env_name) if needs_model else None
         if options.cost == "distance" and model is not None and model.distance is None:
             raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
-        env = tasks.make(env_name)
+        # Classes of the user's own need not know render modes, so none is named unless one is asked for.
+        env = tasks.make(env_name, **({"render_mode": "human"} if options.render == "human" else {}))
         world: Any = env.unwrapped
         horizon = options.steps_ahead
         if options.knots is not None and options.knots > horizon:
@@ -120,7 +97,13 @@ class Session:
         )
         return cls(planner, options, env, env_name, controller, model)
 
-    def run_episode(self, seed: int, video: Video | None = None) -> EpisodeResult:
+    @property
+    def control_period(self) -> float:
+        """Seconds of simulated time that one action lasts."""
+        world = self.env.unwrapped
+        return world.dynamics.substeps * world.model.opt.timestep
+
+    def run_episode(self, seed: int, watchers: Sequence[Watcher] = ()) -> EpisodeResult:
         """Plan one full episode; it goes on after the goal is reached, to see whether it holds."""
         started = time.monotonic()
         observation, _ = self.env.reset(seed=seed)
@@ -131,33 +114,41 @@ class Session:
             observation["desired_goal"] = world.goal.copy()
         goal = observation["desired_goal"]
         first_hit, success = None, False
-        to_go: list[float] = []
-        gaps: list[float] = []
-        plan_ms: list[float] = []
-        smoothing_ms: list[float] = []
+        steps: list[Step] = []
         actions: list[np.ndarray] = []
-        positions = [self._effector(observation)]
+        achieved_goals, positions = [observation["achieved_goal"]], [self._effector(observation)]
         for step in range(tasks.episode_length(self.env_name)):
             plan = self.controller.plan(world, observation)
-            if video is not None:
-                video.frame(goal, plan)
-            plan_ms.append(plan.milliseconds)
-            smoothing_ms.append(plan.smoothing_ms)
+            for watcher in watchers:
+                watcher.frame(observation, plan)
+            # Not part of the plan call: a planner that averages its samples never rolls the average out.
+            cost = self.controller.cost_of(world, observation, plan.actions)
             actions.append(plan.action)
             observation, _, _, _, info = self.env.step(plan.action)
             success = bool(info["is_success"])
             first_hit = step + 1 if success and first_hit is None else first_hit
-            to_go.append(self._to_go(observation, plan))
-            offset = world.goal_positions(observation["achieved_goal"]) - world.goal_positions(goal)
-            gaps.append(float(np.linalg.norm(offset)))
+            steps.append(self._step(observation, plan, cost))
+            achieved_goals.append(observation["achieved_goal"])
             positions.append(self._effector(observation))
         self._last_observation = observation
         seconds = time.monotonic() - started
-        control_step = world.dynamics.substeps * world.model.opt.timestep
         return EpisodeResult(
-            seed, success, first_hit, gaps[-1], to_go, gaps, plan_ms, smoothing_ms, np.array(actions),
-            action_rate(np.array(actions)), jerk(np.array(positions), control_step), seconds,
+            seed, success, first_hit, steps, np.array(actions), np.array(achieved_goals), goal,
+            action_rate(np.array(actions)), jerk(np.array(positions), self.control_period), seconds,
         )  # fmt: skip
+
+    def _step(self, observation: dict[str, np.ndarray], plan: Plan, cost: float) -> Step:
+        world = self.env.unwrapped
+        here, goal = (world.goal_positions(observation[key]) for key in ("achieved_goal", "desired_goal"))
+        return Step(
+            cost,
+            self._to_go(observation, plan),
+            plan.effective_samples,
+            plan.effective_samples / len(plan.costs),
+            plan.milliseconds,
+            plan.smoothing_ms,
+            float(np.linalg.norm(here - goal)),
+        )
 
     def _effector(self, observation: dict[str, np.ndarray]) -> np.ndarray:
         # Every task's observation begins with where its end effector is.

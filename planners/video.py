@@ -55,7 +55,7 @@ class Video:
         camera.distance, camera.azimuth, camera.elevation = 1.6, 150.0, -32.0
         return camera
 
-    def frame(self, goal: np.ndarray, plan: Plan) -> None:
+    def frame(self, observation: dict[str, np.ndarray], plan: Plan) -> None:
         """Draw the world as it is before the plan's action is executed."""
         if self._renderer is None:
             return
@@ -65,9 +65,9 @@ class Video:
         mujoco.mj_setState(self._model, self._data, values, state)
         mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
-        radius = self._world.goal_radius
-        self._sphere(self._world.goal_positions(goal), 0.35 * radius, GOAL_COLOR)
-        self._sphere(self._world.goal_positions(goal), radius, (*GOAL_COLOR[:3], 0.15))
+        radius, goal = self._world.goal_radius, self._world.goal_positions(observation["desired_goal"])
+        self._sphere(goal, 0.35 * radius, GOAL_COLOR)
+        self._sphere(goal, radius, (*GOAL_COLOR[:3], 0.15))
         self._draw_plans(plan)
         if self._writer is None:
             self._writer = imageio_ffmpeg.write_frames(
@@ -81,8 +81,7 @@ class Video:
         self._writer.send(np.ascontiguousarray(self._renderer.render()))
 
     def _draw_plans(self, plan: Plan) -> None:
-        finite = np.flatnonzero(np.isfinite(plan.costs))
-        order = finite[np.argsort(plan.costs[finite])][:SHOWN_PLANS]
+        order = plan.cheapest(SHOWN_PLANS)
         for rank in range(len(order) - 1, -1, -1):  # the best on top
             badness = rank / max(1, len(order) - 1)
             color = (0.15 + 0.8 * badness, 0.35, 0.95 - 0.75 * badness, 0.9 - 0.6 * badness)

@@ -120,6 +120,8 @@ class RobotTask(gymnasium.Env):
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Advance one control step; never terminates."""
         self._simulation.advance(self.dynamics.control(action)[None], self._features)
+        if self.render_mode == "human":
+            self.render()
         observation = self._observation()
         success = bool(self.reached(observation["achieved_goal"], self.goal))
         return observation, float(success) - 1.0, False, False, {"is_success": success}

@@ -105,6 +105,8 @@ class OpenLoopEnv(GoalEnv, ABC):
         self._start()
         mujoco.mj_forward(self.model, self.data)
         self._simulation.observe(self._features[0])
+        if self.render_mode == "human":
+            self.render()
         return self._observation(), {}
 
     @abstractmethod
@@ -114,6 +116,8 @@ class OpenLoopEnv(GoalEnv, ABC):
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Advance one control step. Never terminates: reaching a goal is not an end."""
         self._simulation.advance(self.dynamics.control(action)[None], self._features)
+        if self.render_mode == "human":
+            self.render()
         observation = self._observation()
         reward = self.compute_reward(observation["achieved_goal"], self.goal, {})
         return observation, float(reward), False, False, {"is_success": bool(reward == 0)}
@@ -136,6 +140,10 @@ class OpenLoopEnv(GoalEnv, ABC):
         """The time limit is a wrapper's business."""
         return False
 
+    @abstractmethod
+    def goal_positions(self, goals: np.ndarray) -> np.ndarray:
+        """Where goals ``(..., G)`` lie in the world, ``(..., 3)`` in metres, for pictures."""
+
     def _observation(self) -> dict[str, np.ndarray]:
         observation, achieved_goal = self.dynamics.observe(self._features[0])
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
@@ -145,7 +153,13 @@ class OpenLoopEnv(GoalEnv, ABC):
         if self._renderer is None:
             from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 
-            self._renderer = MujocoRenderer(self.model, self.data, width=480, height=480, camera_name=self.camera)
+            # camera_name is for off-screen frames only; a window opens with the free camera unless told.
+            camera = {"type": mujoco.mjtCamera.mjCAMERA_FIXED, "fixedcamid": self.model.camera(self.camera).id}
+            self._renderer = MujocoRenderer(self.model, self.data, camera, 480, 480, camera_name=self.camera)
+        if self.render_mode == "human":  # the scene itself has no goal
+            size, color = np.full(3, self.goal_radius), np.array([0.1, 0.75, 0.2, 0.4], np.float32)
+            marker = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": size, "rgba": color, "label": "goal"}
+            self._renderer._get_viewer("human").add_marker(pos=self.goal_positions(self.goal), **marker)
         return self._renderer.render(self.render_mode)
 
     def close(self) -> None:

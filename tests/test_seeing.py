@@ -1,0 +1,137 @@
+"""What a planning command shows of itself: records per step, the control rate, the maze from above, the viewer."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from gymnasium_robotics.envs.robot_env import MujocoRobotEnv
+
+from mpc.cost import EuclideanSteps
+from napsp import envs
+from napsp.envs.open_loop import OpenLoopEnv
+from planners.cli import run
+from planners.maze_map import steps_field
+from planners.options import MPPIOptions, PlanOptions, PredictiveSamplingOptions
+from planners.session import Session
+
+SMALL = ("--env", "point_maze", "--samples", "8", "--horizon", "4", "--no-video", "--threads", "1")
+PNG = b"\x89PNG"
+
+
+def rows(path):
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_control_step_leaves_a_row(tmp_path):
+    assert run("mppi", [*SMALL, "--episodes", "2", "--out", str(tmp_path)]) == 0
+    steps, episodes = rows(tmp_path / "steps.csv"), rows(tmp_path / "episodes.csv")
+    assert [(row["episode"], row["step"]) for row in steps] == [(str(e), str(t)) for e in (1, 2) for t in range(1, 51)]
+    assert {"cost", "effective_samples", "plan_ms", "smoothing_ms", "gap"} <= set(steps[0])
+    for row in steps:
+        samples, share = float(row["effective_samples"]), float(row["effective_share"])
+        assert 1 <= samples <= 8.001 and share == pytest.approx(samples / 8, rel=1e-4)
+        assert 0 <= float(row["cost"]) < 200 and float(row["smoothing_ms"]) <= float(row["plan_ms"])
+    for row, last in zip(episodes, steps[49::50], strict=True):
+        assert float(last["gap"]) == pytest.approx(float(row["final_gap_m"]), abs=1e-5)
+    median = np.median([float(row["plan_ms"]) for row in steps])
+    assert json.loads((tmp_path / "summary.json").read_text())["plan_ms_median"] == pytest.approx(median, rel=1e-3)
+    for name in ("steps.png", "distance_to_go.png", "distance_field.png"):
+        assert (tmp_path / name).read_bytes()[:4] == PNG
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_the_cost_of_the_executed_plan_is_its_own():
+    # Predictive sampling executes its best sample, whose cost is known.
+    class Cheapest:
+        def __init__(self):
+            self.costs = []
+
+        def frame(self, observation, plan):
+            self.costs.append(plan.costs.min())
+
+    watcher = Cheapest()
+    options = PredictiveSamplingOptions(env="point_maze", samples=8, horizon=4, video=False, threads=1)
+    session = Session.open("predictive_sampling", options)
+    result = session.run_episode(0, [watcher])
+    session.close()
+    np.testing.assert_allclose(result.column("cost"), watcher.costs, rtol=1e-4)
+    assert result.achieved_goals.shape == (51, 2) and (result.column("effective_samples") == 1).all()
+
+
+@pytest.mark.parametrize(("period", "keeps"), [(1e-6, False), (1e6, True)])
+def test_planning_slower_than_control_is_said_once(period, keeps, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(Session, "control_period", period)
+    assert run("mppi", [*SMALL, "--episodes", "2", "--out", str(tmp_path)]) == 0
+    warned = [line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: a plan call takes")]
+    assert len(warned) == (0 if keeps else 1)
+    for words in () if keeps else ("control period of 0.001 ms", "simulation waited", "--samples", "--threads"):
+        assert words in warned[0]
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["keeps_control_rate"] is keeps and summary["control_period_ms"] == pytest.approx(1e3 * period)
+
+
+@pytest.mark.parametrize(("env", "period"), [("point_maze", 0.1), ("fetch_wall", 0.04), ("claw", 0.1)])
+def test_control_periods(env, period):
+    session = Session.open("mppi", MPPIOptions(env=env, cost="euclidean", threads=1))
+    assert session.control_period == pytest.approx(period)
+    session.close()
+
+
+def test_the_field_lies_the_right_way_round():
+    goal = np.array([0.5, -0.25])
+    field = steps_field(EuclideanSteps(0.1), 1.0, goal, bins=40)
+    row, column = np.unravel_index(field.argmin(), field.shape)
+    assert abs((column + 0.5) / 20 - 1 - goal[0]) < 0.05 and abs((row + 0.5) / 20 - 1 - goal[1]) < 0.05
+    assert field[-1, 0] == pytest.approx(np.hypot(0.975 + 0.5, 0.975 + 0.25) / 0.1)  # upper left corner
+
+
+@pytest.mark.parametrize(
+    ("arguments", "drawn"),
+    [
+        ([*SMALL, "--cost", "euclidean"], True),
+        ([*SMALL, "--action-of", "plan", "--horizon", "1"], True),
+        ([*SMALL, "--cost", "sparse"], False),
+        (["--env", "fetch_reach", "--samples", "4", "--horizon", "2", "--no-video", "--threads", "1"], False),
+    ],
+)
+def test_the_distance_is_drawn_where_there_is_a_map_and_a_distance(arguments, drawn, tmp_path, capsys):
+    (tmp_path / "distance_field.png").write_bytes(b"of an older run")
+    assert run("mppi", [*arguments, "--episodes", "1", "--out", str(tmp_path)]) == 0
+    picture = tmp_path / "distance_field.png"
+    assert picture.exists() == drawn == ("distance field" in capsys.readouterr().out)
+    assert not drawn or picture.read_bytes()[:4] == PNG
+
+
+@pytest.mark.parametrize(
+    ("display", "words"), [("", "needs a display (DISPLAY or WAYLAND_DISPLAY)"), (":98765", ":98765 does not answer")]
+)
+def test_without_a_display_the_viewer_is_refused_before_any_work(display, words, tmp_path):
+    command = [sys.executable, "-m", "planners.mppi", *SMALL, "--render", "human", "--out", str(tmp_path / "out")]
+    environment = {**os.environ, "DISPLAY": display, "WAYLAND_DISPLAY": ""}
+    result = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
+    assert result.returncode == 2 and words in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1 and result.stdout == ""
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["point_maze", "claw", "fetch_reach", "FetchPush-v4"])
+def test_in_human_mode_reset_and_every_step_are_drawn(name, monkeypatch):
+    frames = []
+    for kind in (OpenLoopEnv, MujocoRobotEnv):
+        monkeypatch.setattr(kind, "render", lambda env: frames.append(env.data.time))
+    env = envs.make(name, render_mode="human")
+    env.reset(seed=0)
+    assert len(frames) == 1
+    for _ in range(3):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    assert len(frames) == 4 and frames == sorted(frames)
+    env.close()
+
+
+def test_watching_does_not_change_how_plans_are_made():
+    assert PlanOptions(render="human").hash() == PlanOptions().hash()
