@@ -6,12 +6,15 @@ import csv
 import fcntl
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from napsp.checkpoint import write_atomically, write_json
+import mujoco
+
+from mpc.rollout import available_cores
+from napsp.checkpoint import git_revision, write_atomically, write_json
 from napsp.config import TrainConfig
 from napsp.envs import file_name
 from napsp.progress import read_rows
@@ -103,13 +106,26 @@ def find(rows: Iterable[Mapping[str, str]], key: Mapping[str, Any]) -> Mapping[s
 
 def append_result(path: Path, row: Mapping[str, Any]) -> None:
     """Add a row, atomically; a row of the same cell must not exist yet."""
-    rows = [*read_results(path), {name: str(value) for name, value in row.items()}]
+    replace_results(path, (), [row])
+
+
+def replace_results(path: Path, key: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Add rows, atomically; a measurement made again takes the place of those that agree in the columns of ``key``."""
+    added = [{name: str(value) for name, value in row.items()} for row in rows]
+    cells = [{name: row[name] for name in key} for row in added if key]
+    kept = [row for row in read_results(path) if not any(cell.items() <= row.items() for cell in cells)]
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(dict.fromkeys(name for r in rows for name in r)), lineterminator="\n")
+    names = dict.fromkeys(name for row in [*kept, *added] for name in row)
+    writer = csv.DictWriter(text, list(names), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows([*kept, *added])
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, text.getvalue().encode())
+
+
+def machine() -> dict[str, Any]:
+    """Columns of a timed row that say what ran where."""
+    return {"mujoco": mujoco.__version__, "revision": git_revision(), "cores": available_cores()}
 
 
 def report(figures: Mapping[str, Any], path: Path | None) -> None:
