@@ -8,7 +8,7 @@ arithmetic, same observations.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from mpc.workers import CAN_FORK, ForkedWorkers, shares
+from mpc.workers import CAN_FORK, ForkedWorkers
 from napsp.envs.dynamics import Dynamics
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -162,9 +162,10 @@ class RolloutEngine:
     ) -> None:
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.n_threads)
+        taken = iter(samples.tolist())  # its next() is atomic
         jobs = [
-            self._pool.submit(self._run_samples, worker, state, share, controls, features, final_times)
-            for worker, share in enumerate(shares(samples, self.n_threads))
+            self._pool.submit(self._run_samples, worker, state, taken, controls, features, final_times)
+            for worker in range(self.n_threads)
         ]
         for job in jobs:
             job.result()
@@ -178,7 +179,7 @@ class RolloutEngine:
         self,
         worker: int,
         state: np.ndarray,
-        samples: np.ndarray,
+        samples: Iterable[int],
         controls: np.ndarray,
         features: np.ndarray,
         final_times: np.ndarray,

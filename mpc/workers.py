@@ -13,21 +13,18 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from multiprocessing.connection import Connection
 
 import numpy as np
 
 CAN_FORK = sys.platform == "linux"  # elsewhere system libraries do not survive a fork; threads do the work there
 
-Job = Callable[[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
-"""Called with worker, state ``(S,)``, samples ``(n,)``, controls ``(N, H, U)``, features ``(N, H, F)`` and final
-times ``(N,)``; simulates its samples and fills in their rows of the last two."""
+LOCK_SECONDS = 60.0  # far longer than anyone holds the lock, unless it died with it
 
-
-def shares(samples: np.ndarray, n_workers: int) -> list[np.ndarray]:
-    """Samples of each worker, interleaved, which balances contact-rich and free ones without a queue."""
-    return [samples[worker::n_workers] for worker in range(n_workers)]
+Job = Callable[[int, np.ndarray, Iterable[int], np.ndarray, np.ndarray, np.ndarray], None]
+"""Called with worker, state ``(S,)``, the samples to simulate, controls ``(N, H, U)``, features ``(N, H, F)`` and
+final times ``(N,)``; fills in its samples' rows of the last two."""
 
 
 class ForkedWorkers:
@@ -48,11 +45,13 @@ class ForkedWorkers:
     def __init__(self, job: Job, n_helpers: int, n_steps: int, n_controls: int, n_features: int) -> None:
         self._job = job
         sizes = n_controls, n_features, 1
-        self._shared = [np.frombuffer(mmap.mmap(-1, 8 * n_steps * size)) for size in sizes]  # anonymous: ends with us
+        self._shared = [_shared_memory(n_steps * size) for size in sizes]
+        self._n_taken = _shared_memory(1).view(np.int64)
         self._pipes: list[Connection] = []
         self._processes = []
         self.cpu_seconds = 0.0  # CPU time of the helpers so far
         context = multiprocessing.get_context("fork")
+        self._lock = context.Lock()
         for worker in range(1, n_helpers + 1):
             ours, theirs = context.Pipe()
             process = context.Process(target=self._serve, args=(worker, ours, theirs), daemon=True)
@@ -83,21 +82,19 @@ class ForkedWorkers:
         """
         shared = self._views(controls.shape, features.shape)
         shared[0][:] = controls
-        own, *others = shares(samples, len(self._pipes) + 1)
-        shapes = controls.shape, features.shape
-        busy = [(pipe, share) for pipe, share in zip(self._pipes, others, strict=True) if len(share)]
+        self._n_taken[0] = 0
         try:
-            for pipe, share in busy:
-                pipe.send((state, share, shapes))
-            self._job(0, state, own, controls, features, final_times)
-            for pipe, share in busy:
+            for pipe in self._pipes:
+                pipe.send((state, samples, controls.shape, features.shape))
+            self._job(0, state, self._take(samples), *shared)
+            for pipe in self._pipes:
                 reply = pipe.recv()
                 if isinstance(reply, Exception):
                     raise reply
                 self.cpu_seconds += reply
-                features[share], final_times[share] = shared[1][share], shared[2][share]
         except (EOFError, BrokenPipeError):
             raise RuntimeError("a simulation process has died (out of memory?); use one thread") from None
+        features[samples], final_times[samples] = shared[1][samples], shared[2][samples]
 
     def close(self) -> None:
         """End the helpers, whatever they are at."""
@@ -106,6 +103,18 @@ class ForkedWorkers:
             process.join()
             pipe.close()
         self._processes, self._pipes = [], []
+
+    def _take(self, samples: np.ndarray) -> Iterator[int]:
+        """One sample at a time, until the workers together have taken all: contact-rich ones take longer."""
+        while True:
+            if not self._lock.acquire(timeout=LOCK_SECONDS):
+                raise RuntimeError("a simulation process has died (out of memory?); use one thread")
+            taken = int(self._n_taken[0])
+            self._n_taken[0] += 1
+            self._lock.release()
+            if taken >= len(samples):
+                return
+            yield int(samples[taken])
 
     def _views(self, controls: tuple[int, ...], features: tuple[int, ...]) -> list[np.ndarray]:
         shapes = controls, features, features[:1]
@@ -118,13 +127,18 @@ class ForkedWorkers:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         while True:
             try:
-                state, samples, shapes = pipe.recv()
+                state, samples, *shapes = pipe.recv()
             except EOFError:
                 return
             start = time.process_time()
             try:
-                self._job(worker, state, samples, *self._views(*shapes))
+                self._job(worker, state, self._take(samples), *self._views(*shapes))
             except Exception as error:  # raised again in the caller
                 pipe.send(error)
             else:
                 pipe.send(time.process_time() - start)
+
+
+def _shared_memory(n: int) -> np.ndarray:
+    """Float64 numbers ``(n,)`` that forked processes share; anonymous, so they end with the last of them."""
+    return np.frombuffer(mmap.mmap(-1, 8 * n))
