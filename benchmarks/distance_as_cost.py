@@ -1,8 +1,9 @@
 """Which cost plans? ``python -m benchmarks.distance_as_cost --env fetch_wall``.
 
-MPPI with the learned distance (along the plan, at its end), the straight line, and the policy
-alone, on the same episodes, for checkpoints of several training seeds. Cells that are already in
-``results/distance_as_cost.csv`` are not run again.
+MPPI with the learned distance (along the plan, at its end, both), with the distances of the other
+methods, with the straight line, with nothing but the goal's radius and, in mazes, with true shortest
+paths, beside the policy alone: on the same episodes, for checkpoints of several training seeds. Cells
+that are already in ``results/distance_as_cost.csv`` are not run again.
 """
 
 from __future__ import annotations
@@ -27,12 +28,33 @@ from napsp.statistics import describe, wilson_interval
 from planners.options import OPTIONS, PlanOptions
 from planners.session import Session
 
-VARIANTS: dict[str, dict[str, Any]] = {
-    "distance, mean along the plan": {"cost": "distance", "where": "mean"},
-    "euclidean, mean along the plan": {"cost": "euclidean", "where": "mean"},
-    "policy alone": {},
-    "distance, end of the plan": {"cost": "distance", "where": "terminal"},
-    "distance, mean, no policy proposals": {"cost": "distance", "where": "mean", "proposals": False},
+
+@dataclass(frozen=True)
+class Variant:
+    """One line of the comparison: the checkpoint's method (None: no checkpoint) and the planner's options."""
+
+    method: str | None
+    planner: dict[str, Any] | None
+    """None: the policy alone."""
+
+
+DISTANCE = {"cost": "distance", "where": "mean"}
+VARIANTS: dict[str, Variant] = {
+    "distance, mean along the plan": Variant("ours", DISTANCE),
+    "euclidean, mean along the plan": Variant(None, {"cost": "euclidean", "where": "mean"}),
+    "policy alone": Variant("ours", None),
+    "distance, end of the plan": Variant("ours", {"cost": "distance", "where": "terminal"}),
+    "distance, mean and end": Variant("ours", {"cost": "distance", "where": "both"}),
+    "distance, mean, no policy proposals": Variant("ours", {**DISTANCE, "proposals": False}),
+    "distance, end, no policy proposals": Variant(
+        "ours", {"cost": "distance", "where": "terminal", "proposals": False}
+    ),
+    "off-policy DDL distance, mean": Variant("offpolicy_ddl", DISTANCE),
+    "off-policy DDL distance, mean, no policy proposals": Variant("offpolicy_ddl", {**DISTANCE, "proposals": False}),
+    "DDL distance, mean": Variant("ddl", DISTANCE),
+    "DDL distance, mean, no policy proposals": Variant("ddl", {**DISTANCE, "proposals": False}),
+    "sparse": Variant(None, {"cost": "sparse"}),
+    "shortest path, mean along the plan": Variant(None, {"cost": "shortest_path", "where": "mean"}),
 }
 
 
@@ -50,6 +72,8 @@ class CostOptions:
     """First episode seed; these seeds were never used for tuning."""
     samples: int = 64
     """Samples of the planner."""
+    variants: tuple[str, ...] = ()
+    """Which lines; default all that the task has."""
 
 
 def plan_episodes(session: Session, seeds: list[int]) -> tuple[list[bool], list[int], float]:
@@ -62,14 +86,18 @@ def plan_episodes(session: Session, seeds: list[int]) -> tuple[list[bool], list[
 def plan_options(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> PlanOptions:
     """The planner of a cell."""
     return OPTIONS["mppi"](
-        env=env_name, samples=options.samples, seed=options.seed, checkpoint=checkpoint, **VARIANTS[variant]
+        env=env_name,
+        samples=options.samples,
+        seed=options.seed,
+        checkpoint=checkpoint,
+        **(VARIANTS[variant].planner or {}),
     )
 
 
 def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> dict[str, Any]:
     """Run one cell of the table."""
     seeds = [options.seed + i for i in range(options.episodes)]
-    if variant == "policy alone":
+    if VARIANTS[variant].planner is None:
         assert checkpoint is not None
         model, env = load_model(checkpoint, env_name), tasks.make(env_name)
         result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
@@ -94,14 +122,18 @@ def main() -> int:
         raise UserError(f"--episodes is {options.episodes}; it must be at least 1")
     env_name, path = tasks.canonical_name(options.env), RESULTS / "distance_as_cost.csv"
     torch.set_num_threads(1)
-    for variant, settings in VARIANTS.items():
-        needs_model = settings.get("cost") != "euclidean"
-        for training_seed in options.training_seeds if needs_model else ("",):
-            config = preset(env_name, seed=training_seed) if needs_model else None
+    unknown = set(options.variants) - set(VARIANTS)
+    if unknown:
+        raise UserError(f"unknown variant {unknown.pop()!r}; choose from: {'; '.join(VARIANTS)}")
+    is_maze = hasattr(tasks.make(env_name).unwrapped, "shortest_steps")
+    for variant in options.variants or [name for name in VARIANTS if is_maze or "shortest" not in name]:
+        method, planner = VARIANTS[variant].method, VARIANTS[variant].planner
+        for training_seed in options.training_seeds if method else ("",):
+            config = preset(env_name, method=method, seed=training_seed) if method else None
             key = {
                 "env": env_name, "variant": variant, "training_seed": training_seed,
                 "training_hash": config.hash() if config else "",
-                "planner_hash": plan_options(env_name, variant, None, options).hash() if settings else "",
+                "planner_hash": plan_options(env_name, variant, None, options).hash() if planner else "",
                 "samples": options.samples, "episodes": options.episodes, "seed": options.seed,
             }  # fmt: skip
             row = find(read_results(path), key)
@@ -114,7 +146,7 @@ def main() -> int:
             rate, n = float(row["success_rate"]), options.episodes
             interval = describe(rate, wilson_interval(round(rate * n), n))
             steps = f"{float(row['mean_steps_to_goal']):.1f}" if row["mean_steps_to_goal"] else "-"
-            print(f"{variant:32s} training seed {training_seed!s:>2s}  success {interval}  any "
+            print(f"{variant:50s} training seed {training_seed!s:>2s}  success {interval}  any "
                   f"{float(row['any_success_rate']):.2f}  steps {steps:>5s}  {float(row['plan_ms_median']):.0f} ms",
                   flush=True)  # fmt: skip
     return 0

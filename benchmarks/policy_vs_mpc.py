@@ -18,6 +18,7 @@ import torch
 import tyro
 
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from mpc.motion import action_rate
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
 from napsp.config import TrainConfig, preset
@@ -31,6 +32,7 @@ from planners.session import Session
 
 FILE = RESULTS / "policy_vs_mpc.csv"
 PLANNERS = ("mppi", "cem", "icem", "predictive_sampling")
+SMOOTHING = " + smoothing"
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class VersusOptions:
     """Simulated plans per control step, over all refinements."""
     proposals: tuple[bool, ...] = (True, False)
     """With and without the policy's rollout among the samples."""
+    smoothing: bool = True
+    """Also the first planner with the smoothing layer, at every budget."""
     training_seed: int = 0
     """Training seed of the checkpoint, which is trained first if it does not exist."""
     progress: tuple[int, ...] = ()
@@ -59,38 +63,45 @@ def plan_options(
     env: str, planner: str, budget: int, proposals: bool, checkpoint: Path | None, seed: int
 ) -> PlanOptions:
     """Options that simulate ``budget`` plans per control step."""
-    kind: Any = OPTIONS[planner]
+    name, smooth, _ = planner.partition(SMOOTHING)
+    kind: Any = OPTIONS[name]
     refinements = kind.refinements
     shares = sum(getattr(kind, "decay", 1.0) ** -i for i in range(refinements))
     samples = max(1, round(budget / shares))
     elites = {"elites": min(kind.elites, max(2, samples // 4))} if hasattr(kind, "elites") else {}
-    return kind(env=env, samples=samples, proposals=proposals, checkpoint=checkpoint, seed=seed, **elites)
+    return kind(
+        env=env, samples=samples, proposals=proposals, checkpoint=checkpoint, seed=seed, smooth=bool(smooth), **elites
+    )
 
 
 def run_policy(env_name: str, checkpoint: Path, seeds: list[int]) -> dict[str, Any]:
     """The policy alone on every seed."""
     model, env = load_model(checkpoint, env_name), tasks.make(env_name)
-    result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
+    result, episodes = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
     hits = [None if np.isnan(hit) else int(hit) for hit in result.first_hits]
-    return _figures(result.reached[:, -1].tolist(), hits, 0.0)
+    return _figures(result.reached[:, -1].tolist(), hits, 0.0, [action_rate(actions) for actions in episodes.actions])
 
 
 def run_planner(options: PlanOptions, planner: str, seeds: list[int]) -> dict[str, Any]:
     """A planner on every seed."""
-    session = Session.open(planner, options)
+    session = Session.open(planner.removesuffix(SMOOTHING), options)
     results = [session.run_episode(seed) for seed in seeds]
     session.close()
     milliseconds = float(np.median(np.concatenate([result.plan_ms for result in results])))
-    return _figures([r.success for r in results], [r.first_hit for r in results], milliseconds)
+    rates = [result.action_rate for result in results]
+    return _figures([r.success for r in results], [r.first_hit for r in results], milliseconds, rates)
 
 
-def _figures(success: list[bool], hits: list[int | None], milliseconds: float) -> dict[str, Any]:
+def _figures(
+    success: list[bool], hits: list[int | None], milliseconds: float, action_rates: list[float]
+) -> dict[str, Any]:
     found = [hit for hit in hits if hit is not None]
     return {
         "success_rate": float(np.mean(success)),
         "any_success_rate": len(found) / len(hits),
         "mean_steps_to_goal": float(np.mean(found)) if found else "",
         "plan_ms_median": milliseconds,
+        "action_rate": float(np.mean(action_rates)),
         "successes": "".join(str(int(s)) for s in success),
         "first_hits": " ".join("-" if hit is None else str(hit) for hit in hits),
     }
@@ -106,6 +117,9 @@ def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
         for planner in options.planners:
             for budget in options.budgets:
                 found += [(config, planner, budget, proposals) for proposals in options.proposals]
+        if options.smoothing and options.planners:
+            name = options.planners[0] + SMOOTHING
+            found += [(config, name, budget, p) for budget in options.budgets for p in options.proposals]
     return found
 
 

@@ -29,7 +29,8 @@ def cost_table() -> list[str]:
     """Costs for planning, pooled over training seeds."""
     groups: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
     for row in read_results(RESULTS / "distance_as_cost.csv"):
-        current = not row["training_seed"] or row["training_hash"] == preset(row["env"]).hash()
+        hashes = {preset(row["env"], method=method).hash() for method in METHODS}
+        current = not row["training_seed"] or row["training_hash"] in hashes
         if current and (row["samples"], row["episodes"]) == ("64", "50"):
             groups[row["env"], row["variant"]].append(row)
     lines = [
@@ -196,8 +197,8 @@ def versus_table() -> list[str]:
         "",
         "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements.",
         "",
-        "| task | training episodes | planner | policy's rollout among the samples | budget | success | steps to goal | ms per plan |",
-        "|---|---|---|---|---|---|---|---|",
+        "| task | training episodes | planner | policy's rollout among the samples | budget | success | steps to goal | action rate | ms per plan |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         n, rate = int(row["episodes"]), float(row["success_rate"])
@@ -206,7 +207,8 @@ def versus_table() -> list[str]:
         lines.append(
             f"| {row['env']} | {row['training_episodes']} | {row['planner']} "
             f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
-            f"| {describe(rate, wilson_interval(round(rate * n), n))} | {steps} | {float(row['plan_ms_median']):.0f} |"
+            f"| {describe(rate, wilson_interval(round(rate * n), n))} | {steps} "
+            f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f} |"
         )
     return lines if rows else []
 
@@ -218,13 +220,13 @@ def learner_table() -> list[str]:
         "",
         "HER + SAC updates per second, relabelling included: same networks, batch, task and threads, in turn.",
         "",
-        "| networks | batch | threads | ours | Stable-Baselines3 | ratio | share of the matrix-product speed |",
-        "|---|---|---|---|---|---|---|",
+        "| networks | batch | threads | matrix products | ours | Stable-Baselines3 | ratio | share of the matrix-product speed |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for path in sorted(RESULTS.glob("learner_speed_*.json")):
         row = json.loads(path.read_text())
         lines.append(
-            f"| {row['hidden']} | {row['batch_size']} | {row['threads']} | {row['ours_updates_per_second']:.0f} "
+            f"| {row['hidden']} | {row['batch_size']} | {row['threads']} | {row.get('matmul_precision', 'highest')} | {row['ours_updates_per_second']:.0f} "
             f"| {row['stable_baselines3_updates_per_second']:.0f} | {row['ours_over_stable_baselines3']:.2f} "
             f"| {row['share_of_matrix_product_speed']:.2f} |"
         )
