@@ -92,7 +92,7 @@ class PlanOptions:
     go by the model planned in."""
     planning_substeps: int | None = None
     """Physics steps per control step of the coarse model, at most the environment's; default by task, chosen by the
-    error that benchmarks.coarse_model measures."""
+    error that benchmarks.coarse_model measures. Too few, such as 2 for Fetch, and the gripper gets past a wall."""
     out: Path | None = None
     """Folder of the results; default plans/ENV-PLANNER-COST-sSEED."""
     video: bool = True
