@@ -12,7 +12,7 @@ import numpy as np
 from mpc.cost import Cost
 from mpc.knots import Interpolation, interpolation_matrix, shift_matrix
 from mpc.rollout import Actor, Followed, RolloutEngine, Trajectories
-from napsp.envs.dynamics import get_state
+from napsp.envs.dynamics import check_same_state, get_state
 
 
 class Planner(Protocol):
@@ -150,7 +150,12 @@ class Controller:
         self._fresh = True
 
     def plan(self, env: Any, observation: dict[str, np.ndarray]) -> Plan:
-        """Plan from the current state of ``env`` (unwrapped); its data is only read."""
+        """Plan from the current state of ``env`` (unwrapped); its data is only read.
+
+        Raises:
+            ValueError: the engine's model has another state, or the desired goal is not finite.
+        """
+        check_same_state(env.model, self.engine.dynamics.model)
         return self.plan_from(get_state(env.model, env.data), observation)
 
     def plan_from(self, state: np.ndarray, observation: dict[str, np.ndarray]) -> Plan:
@@ -186,7 +191,10 @@ class Controller:
         )
 
     def cost_of(self, env: Any, observation: dict[str, np.ndarray], actions: np.ndarray) -> float:
-        """What a plan ``(H, A)`` costs from the current state of ``env``, in steps, by rolling it out alone."""
+        """What a plan ``(H, A)`` costs from the current state of ``env``, in steps, by rolling it out alone.
+
+        That is in the model planned in; its own cost in the environment differs where that one is coarser.
+        """
         plans, n_simulated = actions[None], self.cost.simulated_steps(self.horizon)
         trajectories = self.engine.rollout(get_state(env.model, env.data), plans[:, :n_simulated])
         return float(self.cost(observation, trajectories, plans, observation["desired_goal"])[0])

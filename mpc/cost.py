@@ -8,7 +8,7 @@ Euclidean distance, or nothing at all (sparse).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -17,6 +17,7 @@ import torch
 
 from mpc.rollout import Trajectories
 from napsp.checkpoint import Model
+from napsp.counts import uncertainty
 
 Where = Literal["terminal", "mean", "both"]
 ActionOf = Literal["policy", "plan"]
@@ -41,22 +42,47 @@ class Reached(Protocol):
 
 
 class LearnedSteps:
-    """d(s, a, g) of a trained model; without actions it asks the policy, a = pi(s, g)."""
+    """d(s, a, g) of a trained model; without actions it asks the policy, a = pi(s, g).
 
-    def __init__(self, model: Model) -> None:
-        if model.distance is None:
-            raise ValueError("the model holds no distance (it was trained with --method sparse)")
-        self._distance, self._policy = model.distance, model.policy
+        max_k d_k(s, a, g) + pessimism * U(N(s, a)),   U of eq. 2
+
+    Both terms rise where the estimate is least to be trusted: where models disagree, and where
+    training never went. Everything is asked at one action, the plan's or that of ``model``'s
+    policy, since d is a function of it: another policy's action would be another question.
+
+    Args:
+        model: gives the policy, the counts N and the constants C and M of U.
+        pessimism: weight of U; 0 needs no counts.
+        ensemble: further models of the same task whose distances join the maximum.
+
+    Raises:
+        ValueError: a model holds no distance, or ``pessimism`` asks for counts that are not there.
+    """
+
+    def __init__(self, model: Model, pessimism: float = 0.0, ensemble: Sequence[Model] = ()) -> None:
+        self._distances = [member.distance for member in (model, *ensemble) if member.distance is not None]
+        if len(self._distances) <= len(ensemble):
+            raise ValueError("a model holds no distance (it was trained with --method sparse)")
+        if pessimism and model.visits is None:
+            raise ValueError("the model holds no visit counts; train it again, or use an ensemble")
+        self._policy, self._visits, self._config = model.policy, model.visits, model.config
+        self._pessimism = pessimism
 
     def __call__(
         self, observations: np.ndarray, achieved_goals: np.ndarray, actions: np.ndarray | None, goal: np.ndarray
     ) -> np.ndarray:
-        """Steps ``(B,)``, within [0, T]."""
+        """Steps ``(B,)``, within [0, T] where ``pessimism`` is 0."""
         with torch.inference_mode():
             states = torch.from_numpy(np.ascontiguousarray(observations, np.float32))
             goals = torch.from_numpy(goal.astype(np.float32)).expand(len(states), -1)
             chosen = self._policy.mode(states, goals) if actions is None else torch.from_numpy(_float32(actions))
-            return self._distance.steps(states, chosen, goals).numpy().astype(np.float64)
+            found = [distance.steps(states, chosen, goals) for distance in self._distances]
+            steps = torch.stack(found).amax(0).numpy().astype(np.float64)
+        if self._pessimism and self._visits is not None:
+            visits = self._visits(states.numpy(), chosen.numpy())
+            scale, power = self._config.uncertainty_scale, self._config.uncertainty_power
+            steps += self._pessimism * uncertainty(visits, scale, power)
+        return steps
 
 
 class EuclideanSteps:

@@ -10,12 +10,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialize
 from torch import Tensor
 
 from napsp.config import TrainConfig, from_dict
+from napsp.counts import HashedCounts, Visits
 from napsp.envs import canonical_name
 from napsp.errors import UserError
 from napsp.networks import DeterministicPolicy, DistanceNetwork, GaussianPolicy, Policy
@@ -78,12 +80,14 @@ class Model:
         policy: pi(a | s, g).
         config: the configuration it was trained with.
         header: revision, seed, episodes and sizes.
+        visits: N(s, a) at the end of training; None in files that were written without it.
     """
 
     distance: DistanceNetwork | None
     policy: Policy
     config: TrainConfig
     header: dict[str, Any]
+    visits: Visits | None = None
 
 
 def save_model(
@@ -93,11 +97,14 @@ def save_model(
     config: TrainConfig,
     sizes: tuple[int, int, int],
     episodes: int,
+    visits: HashedCounts | None = None,
 ) -> None:
-    """Write what a planner or a robot needs: weights, scaling, configuration."""
+    """Write what a planner or a robot needs: weights, scaling, configuration, and N(s, a) if given."""
     tensors = {f"policy.{name}": value for name, value in policy.state_dict().items()}
     if distance is not None:
         tensors |= {f"distance.{name}": value for name, value in distance.state_dict().items()}
+    if visits is not None:
+        tensors |= {f"visits.{name}": torch.from_numpy(_narrow(getattr(visits, name))) for name in COUNT_TABLE}
     header = {
         "format": FORMAT,
         "kind": "model",
@@ -132,7 +139,29 @@ def load_model(path: str | Path, env: str) -> Model:
     _load(policy, "policy.", tensors, path)
     if has_distance:
         _load(distance, "distance.", tensors, path)
-    return Model(distance if has_distance else None, policy, config, header)
+    visits = _load_visits(tensors, sizes, policy, path)
+    return Model(distance if has_distance else None, policy, config, header, visits)
+
+
+COUNT_TABLE = ("projection", "keys", "counts")
+
+
+def _narrow(array: np.ndarray) -> np.ndarray:
+    """Integers in half the bytes where they fit; the projection as it is, for its signs must not change."""
+    fits = array.dtype == np.int64 and array.max(initial=0) <= np.iinfo(np.int32).max
+    return array.astype(np.int32) if fits else array
+
+
+def _load_visits(tensors: dict[str, Tensor], sizes: tuple[int, int, int], policy: Policy, path: Path) -> Visits | None:
+    if not any(name.startswith("visits.") for name in tensors):
+        return None
+    empty = torch.empty(0)
+    projection, keys, counts = (tensors.get(f"visits.{name}", empty).numpy() for name in COUNT_TABLE)
+    fits = projection.shape[:-1] == (sizes[0] + sizes[1] + 1,) and keys.ndim == 1 and keys.shape == counts.shape
+    if not fits or not np.isfinite(projection).all() or (np.diff(keys) <= 0).any() or (counts < 1).any():
+        raise UserError(f"{path} does not hold visit counts that fit its header; train it again")
+    table = HashedCounts(projection, keys.astype(np.int64), counts.astype(np.int64))
+    return Visits(table, policy.scaling.numbers())  # training counts under the networks' own scaling
 
 
 def _load(network: torch.nn.Module, prefix: str, tensors: dict[str, Tensor], path: Path) -> None:

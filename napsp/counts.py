@@ -16,14 +16,27 @@ RECOUNT_CHUNK = 200  # episodes; their pairs i < j fill some tens of megabytes
 
 
 class HashedCounts:
-    """Counts of SimHash keys, kept sorted for exact look-up."""
+    """Counts of SimHash keys, kept sorted for exact look-up.
 
-    def __init__(self, input_size: int, n_bits: int, rng: np.random.Generator) -> None:
+    Args:
+        projection: ``(input_size + 1, n_bits)``; see :meth:`drawn`.
+        keys: ascending, ``(K,)``.
+        counts: of the keys, ``(K,)``.
+    """
+
+    def __init__(
+        self, projection: np.ndarray, keys: np.ndarray | None = None, counts: np.ndarray | None = None
+    ) -> None:
+        self.projection = projection
+        self.keys = np.empty(0, np.int64) if keys is None else keys
+        self.counts = np.empty(0, np.int64) if counts is None else counts
+
+    @classmethod
+    def drawn(cls, input_size: int, n_bits: int, rng: np.random.Generator) -> HashedCounts:
+        """No counts yet, and a random projection."""
         # One extra constant input makes the cuts affine: without it all inputs on a ray
         # from the centre share a key.
-        self.projection = rng.standard_normal((input_size + 1, n_bits))
-        self.keys = np.empty(0, np.int64)
-        self.counts = np.empty(0, np.int64)
+        return cls(rng.standard_normal((input_size + 1, n_bits)))
 
     def key(self, inputs: np.ndarray) -> np.ndarray:
         """Keys ``(...)`` of scaled inputs ``(..., input_size)``."""
@@ -65,8 +78,8 @@ class CountModel:
     ) -> None:
         n_observation, n_action, n_goal = sizes
         self.scaling = scaling
-        self.visit_table = HashedCounts(n_observation + n_action, visit_bits, rng)
-        self.reached_table = HashedCounts(n_observation + n_action + n_goal, reached_bits, rng)
+        self.visit_table = HashedCounts.drawn(n_observation + n_action, visit_bits, rng)
+        self.reached_table = HashedCounts.drawn(n_observation + n_action + n_goal, reached_bits, rng)
 
     def update(self, episodes: Episodes) -> None:
         """Count every visited (s_i, a_i) and every (s_i, a_i, phi(s_j)) with j > i.
@@ -91,7 +104,7 @@ class CountModel:
 
     def visits(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """N(s, a), ``(B,)``."""
-        return self.visit_table.count(self._pairs(observations, actions))
+        return Visits(self.visit_table, self.scaling)(observations, actions)
 
     def reached(self, observations: np.ndarray, actions: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """N(s, a, g), ``(B,)``: how often g was reached later in an episode through (s, a)."""
@@ -99,7 +112,22 @@ class CountModel:
         return self.reached_table.count(np.concatenate([pairs, self.scaling.goal(goals)], axis=-1))
 
     def _pairs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        return np.concatenate([self.scaling.observation(observations), actions], axis=-1)
+        return _pairs(self.scaling, observations, actions)
+
+
+class Visits:
+    """N(s, a) alone: what of the counts a model file keeps for planning."""
+
+    def __init__(self, table: HashedCounts, scaling: Scaling) -> None:
+        self.table, self.scaling = table, scaling
+
+    def __call__(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """N(s, a), ``(B,)``."""
+        return self.table.count(_pairs(self.scaling, observations, actions))
+
+
+def _pairs(scaling: Scaling, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    return np.concatenate([scaling.observation(observations), actions], axis=-1)
 
 
 def uncertainty(visits: np.ndarray, scale: float, power: float) -> np.ndarray:

@@ -162,8 +162,15 @@ class Run:
         learner = self.learner
         save_training(self.folder / STATE_FILE, learner, iteration, seconds, self.revisions)
         distance = learner.regression.distance if self.config.learns_distance else None
+        visits = learner.counts.visit_table if self.config.learns_distance else None  # what it is uncertain of
         save_model(
-            self.folder / MODEL_FILE, learner.agent.policy, distance, self.config, self.sizes, len(learner.buffer)
+            self.folder / MODEL_FILE,
+            learner.agent.policy,
+            distance,
+            self.config,
+            self.sizes,
+            len(learner.buffer),
+            visits,
         )
 
     def _interrupt(self, signum: int, frame: FrameType | None) -> None:

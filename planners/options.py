@@ -34,6 +34,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "smooth_rounds": (1, 100),
     "smooth_tolerance": (0, 1e6),
     "low_pass": (0, 0.999),
+    "pessimism": (0, 1e6),
+    "planning_substeps": (1, 10**6),
 }
 
 
@@ -78,6 +80,19 @@ class PlanOptions:
     checkpoint: Path | None = None
     """A file or folder written by napsp.train; default: the one that ships with the package.
     A cost that needs no distance needs no checkpoint."""
+    pessimism: float = 0.0
+    """With the learned distance: plan with d + pessimism * U, where U = C / (1 + N(s, a))^M of eq. 2, in steps, is
+    large where training hardly went. The checkpoint has to hold the counts N; older files do not."""
+    ensemble: tuple[Path, ...] = ()
+    """Further checkpoints of the same task: the largest of all distances counts, so that a plan must look short to
+    every one. All are asked at the same action, that of the main checkpoint's policy or the plan's (--action-of)."""
+    planning_model: Literal["exact", "coarse"] = "exact"
+    """Simulate plans in the environment's own model, or in a coarser and faster one: longer physics steps and, for
+    Fetch, a lower arm that passes table and box. The environment always runs its own; --smooth, and the costs reported,
+    go by the model planned in."""
+    planning_substeps: int | None = None
+    """Physics steps per control step of the coarse model, at most the environment's; default by task, chosen by the
+    error that benchmarks.coarse_model measures. Too few, such as 2 for Fetch, and the gripper gets past a wall."""
     out: Path | None = None
     """Folder of the results; default plans/ENV-PLANNER-COST-sSEED."""
     video: bool = True
@@ -124,14 +139,25 @@ class PlanOptions:
         # Added after results existed: without them, plans are made as before.
         idle = [k for k, v in (("smooth", self.smooth), ("low_pass", self.low_pass)) if not v]
         idle += [] if self.smooth else [k for k in asdict(self) if k.startswith("smooth_")]
+        idle += [k for k, v in (("pessimism", self.pessimism), ("ensemble", self.ensemble)) if not v]
+        idle += ["planning_model", "planning_substeps"] if self.planning_model == "exact" else []
         asked = {k: v for k, v in asdict(self).items() if k not in elsewhere and k not in idle}
         asked |= {"env": canonical_name(self.env), "horizon": self.steps_ahead}
+        if self.ensemble:
+            asked["ensemble"] = len(self.ensemble)  # paths do not count, as with the checkpoint
+        if self.planning_model == "coarse":
+            asked["planning_substeps"] = self.planning_substeps or PLANNING_SUBSTEPS.get(canonical_name(self.env))
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
 
     @property
     def steps_ahead(self) -> int:
         """H, control steps per plan."""
         return self.horizon or HORIZONS.get(canonical_name(self.env), DEFAULT_HORIZON)
+
+    def coarse_substeps(self, own: int) -> int:
+        """Physics steps per control step of the coarse model of a task that runs ``own``."""
+        default = PLANNING_SUBSTEPS.get(canonical_name(self.env), max(1, own // 4))
+        return self.planning_substeps or min(own, default)
 
     def __post_init__(self) -> None:
         if self.cost not in COSTS and ":" not in self.cost:
@@ -146,6 +172,13 @@ class PlanOptions:
             raise UserError(f"--smooth needs --cost distance: it minimises the learned distance, not {self.cost}")
         if self.smooth and self.low_pass:
             raise UserError("--smooth and --low-pass exclude each other; use one of them")
+        if self.cost != "distance" and (self.pessimism or self.ensemble):
+            option = "--pessimism" if self.pessimism else "--ensemble"
+            raise UserError(f"{option} needs --cost distance: {self.cost} is no learned distance")
+        if self.planning_model == "exact" and self.planning_substeps is not None:
+            raise UserError(
+                "--planning-substeps needs --planning-model coarse: the exact one has the environment's own"
+            )
 
 
 @dataclass(frozen=True)
@@ -242,3 +275,8 @@ HORIZONS = {
     "claw": 10,
 }
 DEFAULT_HORIZON = 8  # of tasks without an entry
+PLANNING_SUBSTEPS = {  # of the coarse model; other tasks: a quarter of their own
+    **dict.fromkeys(("point_maze", "point_maze_long"), 5),
+    **dict.fromkeys((name for name in HORIZONS if name.startswith("fetch")), 5),
+    "claw": 20,
+}

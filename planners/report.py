@@ -38,6 +38,12 @@ class Report:
             f"{options.samples} samples x {self._session.horizon} steps, {source}",
             highlight=False,
         )
+        if options.planning_model == "coarse":
+            own, planned = self._session.substeps
+            self._console.print(
+                f"planning model: coarse, {planned} physics steps per control step; the environment runs {own}",
+                highlight=False,
+            )
 
     def note(self, text: str) -> None:
         """Keep a line for the end of the report."""

@@ -11,18 +11,20 @@ from typing import Any, Protocol
 import numpy as np
 
 from mpc.controller import Controller, Plan, Planner, Smoother
-from mpc.cost import Cost, EuclideanSteps, GivenSteps, LearnedSteps, NoSteps, StepsToGo
+from mpc.cost import Cost
 from mpc.filters import LowPass
 from mpc.motion import action_rate, jerk
 from mpc.rollout import RolloutEngine
 from mpc.speed import raw_speed_fraction
 from napsp import envs as tasks
-from napsp.checkpoint import Model, git_revision, load_model, shipped_model
-from napsp.envs.dynamics import get_state
-from napsp.errors import UserError, load_object
+from napsp.checkpoint import Model, git_revision
+from napsp.envs.coarse import coarse
+from napsp.envs.dynamics import Dynamics, get_state
+from napsp.errors import UserError
 from napsp.greedy import GreedyPolicy
 from planners.cem import CEM
 from planners.episode import EpisodeResult, Step
+from planners.estimates import load_models, steps_to_go
 from planners.icem import ICEM
 from planners.mppi import MPPI
 from planners.options import PlanOptions
@@ -53,11 +55,19 @@ class Session:
     """Everything a planning command needs, built from its options."""
 
     def __init__(
-        self, planner: str, options: PlanOptions, env: Any, env_name: str, controller: Controller, model: Model | None
+        self,
+        planner: str,
+        options: PlanOptions,
+        env: Any,
+        env_name: str,
+        controller: Controller,
+        models: Sequence[Model] = (),
     ) -> None:
         self.planner, self.options = planner, options
         self.env, self.env_name = env, env_name
-        self.controller, self.model = controller, model
+        self.controller = controller
+        self.model = models[0] if models else None
+        self._ensemble = models[1:]
         self.horizon = controller.horizon
         self._statistics = getattr(controller.smoother, "statistics", None)
         self._last_observation: dict[str, np.ndarray] = {}
@@ -70,10 +80,8 @@ class Session:
             UserError: unknown environment, unusable checkpoint, impossible sizes.
         """
         env_name = tasks.canonical_name(options.env)
-        needs_model = options.cost == "distance"
-        model = load_model(options.checkpoint or shipped_model(env_name), env_name) if needs_model else None
-        if options.cost == "distance" and model is not None and model.distance is None:
-            raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
+        models = load_models(options, env_name)
+        model = models[0] if models else None
         # Classes of the user's own need not know render modes, so none is named unless one is asked for.
         env = tasks.make(env_name, **({"render_mode": "human"} if options.render == "human" else {}))
         world: Any = env.unwrapped
@@ -81,8 +89,9 @@ class Session:
         if options.knots is not None and options.knots > horizon:
             raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
         _check_goal(options.goal, world)
-        cost = Cost(_steps_to_go(options, model, world), world.reached, options.where, _action_of(options))
-        engine, n_actions = RolloutEngine(world.dynamics, options.threads), world.action_space.shape[0]
+        cost = Cost(steps_to_go(options, models, world), world.reached, options.where, _action_of(options))
+        engine = RolloutEngine(_planned_dynamics(options, world), options.threads)
+        n_actions = world.action_space.shape[0]
         controller = Controller(
             engine,
             make_planner(planner, options, options.knots or horizon, n_actions),
@@ -95,13 +104,18 @@ class Session:
             GreedyPolicy(model.policy) if options.proposals and model else None,
             _smoother(options, engine, cost, model, horizon, n_actions),
         )
-        return cls(planner, options, env, env_name, controller, model)
+        return cls(planner, options, env, env_name, controller, models)
 
     @property
     def control_period(self) -> float:
         """Seconds of simulated time that one action lasts."""
         world = self.env.unwrapped
         return world.dynamics.substeps * world.model.opt.timestep
+
+    @property
+    def substeps(self) -> tuple[int, int]:
+        """Physics steps per control step: the environment's, and those of the model planned in."""
+        return self.env.unwrapped.dynamics.substeps, self.controller.engine.dynamics.substeps
 
     def run_episode(self, seed: int, watchers: Sequence[Watcher] = ()) -> EpisodeResult:
         """Plan one full episode; it goes on after the goal is reached, to see whether it holds."""
@@ -176,7 +190,8 @@ class Session:
     def summary(self) -> dict[str, Any]:
         """What identifies the session, for ``summary.json``."""
         config = {k: str(v) if hasattr(v, "__fspath__") else v for k, v in asdict(self.options).items()}
-        config |= {"env": self.env_name, "horizon": self.horizon}
+        config |= {"env": self.env_name, "horizon": self.horizon, "ensemble": [str(p) for p in self.options.ensemble]}
+        config["planning_substeps"] = self.substeps[1]
         return {
             "env": self.env_name,
             "planner": self.planner,
@@ -186,6 +201,7 @@ class Session:
             "config_hash": self.options.hash(),
             "revision": git_revision(),
             "checkpoint": self.model.header if self.model else None,
+            "ensemble": [member.header for member in self._ensemble],
         }
 
     def smoothing_summary(self) -> dict[str, Any] | None:
@@ -212,16 +228,16 @@ def _check_goal(goal: tuple[float, ...] | None, env: Any) -> None:
         raise UserError(f"--goal {' '.join(map(str, goal))} does not fit; give {size} finite numbers")
 
 
-def _steps_to_go(options: PlanOptions, model: Model | None, world: Any) -> StepsToGo:
-    if options.cost == "distance" and model is not None:
-        return LearnedSteps(model)
-    if options.cost == "shortest_path":
-        if not hasattr(world, "shortest_steps"):
-            raise UserError(f"the true shortest path of {options.env} is not known; use --cost euclidean or distance")
-        return GivenSteps(world.shortest_steps)
-    if ":" in options.cost:
-        return GivenSteps(load_object(options.cost))
-    return EuclideanSteps(world.step_length) if options.cost == "euclidean" else NoSteps()
+def _planned_dynamics(options: PlanOptions, world: Any) -> Dynamics:
+    """The physics to plan in; the environment's own unless coarse ones are asked for."""
+    own = world.dynamics.substeps
+    if options.planning_model == "exact":
+        return world.dynamics
+    if (options.planning_substeps or 1) > own:
+        raise UserError(
+            f"--planning-substeps {options.planning_substeps} exceeds the {own} of {options.env}; use fewer"
+        )
+    return coarse(world.dynamics, options.coarse_substeps(own))
 
 
 def _smoother(

@@ -83,7 +83,7 @@ def test_goals_of_other_episodes_are_wanted_and_achieved_ones_in_equal_parts():
 
 def test_counts_equal_a_dictionary():
     rng = np.random.default_rng(0)
-    table = HashedCounts(3, 10, rng)
+    table = HashedCounts.drawn(3, 10, rng)
     truth = {}
     for _ in range(5):
         rows = rng.standard_normal((200, 3))

@@ -72,7 +72,7 @@ class RobotDynamics:
     def bind(self, data: mujoco.MjData) -> RobotSimulation:
         """Simulate on ``data``."""
         robot = self._make_robot()
-        robot.model, robot.data = self.model, data
+        robot.model, robot.data, robot.n_substeps = self.model, data, self.substeps
         return RobotSimulation(robot)
 
     def control(self, actions: np.ndarray) -> np.ndarray:

@@ -68,3 +68,26 @@ def get_state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     state = np.empty(mujoco.mj_stateSize(model, INTEGRATION_STATE))
     mujoco.mj_getState(model, data, state, INTEGRATION_STATE)
     return state
+
+
+STATE_SIZES = ("nq", "nv", "na", "nu", "nmocap", "nbody", "neq", "nuserdata", "npluginstate")
+
+
+def check_same_state(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
+    """Check that a state of ``model`` means the same in ``other``.
+
+    Raises:
+        ValueError: the models differ in their joints, actuators, mocap or other bodies.
+    """
+    if model is other:
+        return
+    differ = [
+        f"{n} {getattr(model, n)} and {getattr(other, n)}"
+        for n in STATE_SIZES
+        if getattr(model, n) != getattr(other, n)
+    ]
+    if differ:
+        raise ValueError(
+            f"a state of the environment does not fit the model that is planned in ({', '.join(differ)}); "
+            "plan in a copy of the environment's model, see napsp.envs.coarse"
+        )

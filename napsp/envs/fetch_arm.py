@@ -26,6 +26,7 @@ BASE_BODIES = tuple(f"robot0:{link}_link" for link in ("base", "torso_lift", "to
 # Collision bits besides MuJoCo's default 1, which gripper, fingers, table, wall and box share.
 ARM_BIT = 2  # lower arm: meets table, wall and box
 BASE_BIT = 4  # base and torso: meet the gripper
+REST = ("table0", "object0")  # with the wall, what the lower arm meets
 
 
 class FetchSimulation:
@@ -83,6 +84,18 @@ class FetchDynamics:
         """Displacements ``(..., 3)`` in metres, in the float32 arithmetic Fetch itself uses."""
         clipped = np.clip(np.asarray(actions, np.float32)[..., :3], -1.0, 1.0)
         return (clipped * ACTION_SCALE).astype(np.float64)
+
+    def simplify(self, model: mujoco.MjModel) -> None:
+        """Let the lower arm pass table and box; the wall stays solid for it, and gripper and fingers meet everything.
+
+        The arm hangs above the gripper: where it would touch table or box, the gripper mostly did before.
+        """
+        for name in REST:
+            body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+            if body >= 0:
+                first = model.body_geomadr[body]
+                model.geom_conaffinity[first : first + model.body_geomnum[body]] &= ~ARM_BIT
+                model.body_conaffinity[body] &= ~ARM_BIT  # of all its geoms; pairs of bodies are dropped by it
 
     def _grip_velocity(self, features: np.ndarray, out: np.ndarray) -> None:
         """Write the grip's velocity ``(..., 3)`` in metres per control step.
@@ -271,5 +284,5 @@ def filter_collisions(spec: mujoco.MjSpec, grasps: bool = False) -> None:
                 geom.contype, geom.conaffinity = BASE_BIT, 0
             elif body.name.startswith("robot0:"):
                 geom.contype, geom.conaffinity = 0, 0
-            elif body.name in ("table0", "object0") or geom.name == "wall":
+            elif body.name in REST or geom.name == "wall":
                 geom.conaffinity = 1 | ARM_BIT

@@ -1,0 +1,129 @@
+"""Pessimistic distances: U of eq. 2 from the counts in a model file, and the maximum of an ensemble."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from test_train import tiny
+
+from mpc.cost import LearnedSteps
+from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, shipped_model, write_tensors
+from napsp.counts import uncertainty
+from napsp.errors import UserError
+from napsp.resume import STATE_FILE
+from napsp.train import train
+from planners.cli import run
+from planners.options import MPPIOptions
+
+GOAL = np.array([0.5, 0.5])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Folders of two tiny runs on the maze and one of the sparse baseline."""
+    folders = {}
+    for name, changes in (("a", {}), ("b", {"seed": 1}), ("sparse", {"method": "sparse"})):
+        folders[name] = tmp_path_factory.mktemp(name)
+        train(tiny(**changes), folders[name])
+    return folders
+
+
+def visited(folder, n=200):
+    """Some states, achieved goals and actions of the run's own episodes, which were counted."""
+    tensors, _ = read_tensors(folder / STATE_FILE, "training state")
+    states = tensors["buffer.observations"][:, :-1].reshape(-1, 4)[:n].numpy()
+    return states, states[:, :2], tensors["buffer.actions"].reshape(-1, 2)[:n].numpy()
+
+
+def test_a_model_file_keeps_the_visit_counts(trained):
+    states, _, actions = visited(trained["a"])
+    tensors, _ = read_tensors(trained["a"] / STATE_FILE, "training state")
+    model = load_model(trained["a"], "point_maze")
+    assert model.visits.table.counts.sum() == 16 * 50, "every step of every episode"
+    np.testing.assert_array_equal(model.visits.table.keys, tensors["visits.keys"].numpy())
+    np.testing.assert_array_equal(model.visits.table.counts, tensors["visits.counts"].numpy())
+    assert (model.visits(states, actions) >= 1).all(), "a key moved"
+    assert read_tensors(trained["a"] / MODEL_FILE, "model")[0]["visits.keys"].dtype == torch.int32
+    assert load_model(trained["sparse"], "point_maze").visits is None
+
+
+def test_pessimism_adds_uncertainty_in_steps(trained):
+    model = load_model(trained["a"], "point_maze")
+    states, achieved, actions = visited(trained["a"])
+    states[0] = 30.0  # never visited
+    plain, charged = (LearnedSteps(model, weight)(states, achieved, actions, GOAL) for weight in (0.0, 0.5))
+    bonus = uncertainty(model.visits(states, actions), 10.0, 0.5)
+    np.testing.assert_allclose(charged - plain, 0.5 * bonus, atol=1e-9)
+    assert bonus[0] == 10.0 > bonus[1:].max(), "N = 0 costs C"
+    chosen = model.policy.mode(torch.from_numpy(states), torch.tensor(GOAL).float().expand(len(states), 2))
+    asked = [LearnedSteps(model, 0.5)(states, achieved, a, GOAL) for a in (None, chosen.numpy())]
+    np.testing.assert_allclose(*asked, atol=1e-4)
+
+
+def test_an_ensemble_takes_the_largest_distance_at_the_main_policys_action(trained):
+    models = [load_model(trained[name], "point_maze") for name in "ab"]
+    states, achieved, _ = visited(trained["a"])
+    chosen = models[0].policy.mode(torch.from_numpy(states), torch.tensor(GOAL).float().expand(len(states), 2)).numpy()
+    alone = [LearnedSteps(model)(states, achieved, chosen, GOAL) for model in models]
+    joint = LearnedSteps(models[0], ensemble=models[1:])(states, achieved, None, GOAL)
+    np.testing.assert_allclose(joint, np.maximum(*alone), atol=1e-4)
+    assert (alone[0] != alone[1]).any()
+    np.testing.assert_array_equal(
+        LearnedSteps(models[0], ensemble=models[:1])(states, achieved, chosen, GOAL), alone[0], "a copy changes nothing"
+    )
+
+
+def test_files_without_counts_plan_as_before(trained, tmp_path):
+    tensors, header = read_tensors(trained["a"] / MODEL_FILE, "model")
+    older = tmp_path / MODEL_FILE
+    write_tensors(older, {k: v for k, v in tensors.items() if not k.startswith("visits.")}, header)
+    model = load_model(older, "point_maze")
+    assert model.visits is None and LearnedSteps(model)(*visited(trained["a"])[:2], None, GOAL).shape == (200,)
+    with pytest.raises(ValueError, match="no visit counts"):
+        LearnedSteps(model, 1.0)
+
+
+def test_damaged_counts_are_refused(trained, tmp_path):
+    tensors, header = read_tensors(trained["a"] / MODEL_FILE, "model")
+    path = tmp_path / MODEL_FILE
+    for change in (
+        {"visits.keys": tensors["visits.keys"].flip(0)},
+        {"visits.counts": tensors["visits.counts"][1:]},
+        {"visits.projection": tensors["visits.projection"][1:]},
+        {"visits.projection": torch.full_like(tensors["visits.projection"], float("nan"))},
+    ):
+        write_tensors(path, {**tensors, **change}, header)
+        with pytest.raises(UserError, match="does not hold visit counts that fit"):
+            load_model(path, "point_maze")
+
+
+def test_both_plan_on_the_command_line(trained, tmp_path, monkeypatch):
+    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 3)
+    arguments = ["--env", "point_maze", "--episodes", "1", "--samples", "8", "--no-video", "--threads", "1"]
+    arguments += ["--checkpoint", str(trained["a"]), "--pessimism", "0.5", "--ensemble", str(trained["b"])]
+    assert run("mppi", [*arguments, "--out", str(tmp_path)]) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["config"]["pessimism"] == 0.5 and summary["config"]["ensemble"] == [str(trained["b"])]
+    assert [member["config"]["seed"] for member in summary["ensemble"]] == [1]
+
+
+def test_impossible_wishes_are_one_clear_line(trained, tmp_path):
+    for arguments, words in (
+        (["--pessimism", "1"], "--pessimism needs visit counts.*train one with.*or use --ensemble"),
+        (["--ensemble", str(shipped_model("claw"))], "was trained on claw, not on point_maze"),
+        (["--ensemble", str(trained["sparse"])], "of --ensemble holds no distance"),
+        (["--ensemble", str(tmp_path / "nowhere")], "no checkpoint at"),
+        (["--cost", "euclidean", "--pessimism", "1"], "--pessimism needs --cost distance"),
+        (["--cost", "euclidean", "--ensemble", "x"], "--ensemble needs --cost distance"),
+        (["--pessimism", "-1"], "--pessimism is -1.0; it must lie between"),
+    ):
+        with pytest.raises(UserError, match=words) as error:
+            run("mppi", ["--env", "point_maze", "--no-video", "--out", str(tmp_path), *arguments])
+        assert "\n" not in str(error.value)
+
+
+def test_the_hash_counts_members_but_not_their_paths(tmp_path):
+    plain = MPPIOptions()
+    first, second = (MPPIOptions(ensemble=(tmp_path / name,)) for name in "ab")
+    assert first.hash() == second.hash() != plain.hash() != MPPIOptions(pessimism=0.5).hash()
