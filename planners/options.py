@@ -269,8 +269,7 @@ OPTIONS: dict[str, type[PlanOptions]] = {
 }
 HORIZONS = {
     **dict.fromkeys(("point_maze", "point_maze_long"), 16),
-    **dict.fromkeys(("fetch_reach", "fetch_wall"), 5),
-    **dict.fromkeys(("fetch_pick_place", "fetch_pick_place_wall"), 15),
+    **dict.fromkeys(("fetch_reach", "fetch_wall", "fetch_pick_place", "fetch_pick_place_wall"), 5),
     **dict.fromkeys(("fetch_pick_place_plain", "fetch_pick_place_wall_plain"), 15),
     "claw": 10,
 }
