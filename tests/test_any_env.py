@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -92,6 +93,22 @@ def test_episode_lengths_and_configurations_of_foreign_tasks():
 def test_what_can_not_be_planned_in_is_named(name, words):
     with pytest.raises(UserError, match=words):
         envs.make(name)
+
+
+def test_the_documented_example_plans_exactly_and_its_post_is_in_the_way(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "docs"))
+    env = envs.make("two_link_arm:TwoLinkArm")
+    world = env.unwrapped
+    sweep = np.zeros((1, 40, 2), np.float32)
+    sweep[..., 0] = 1.0
+    with RolloutEngine(world.dynamics, 2) as engine:
+        for seed in range(5):
+            world.reset(seed=seed)
+            planned = engine.rollout(get_state(world.model, world.data), sweep)
+            executed = np.array([world.step(action)[0]["achieved_goal"] for action in sweep[0]])
+            np.testing.assert_array_equal(executed, planned.achieved_goals[0])
+            assert world.data.qpos[1] < -0.5, "the post has folded the arm"
+    env.close()
 
 
 @pytest.mark.slow
