@@ -46,11 +46,14 @@ class HashedCounts:
 
     def add(self, inputs: np.ndarray) -> None:
         """Count every row of ``(B, input_size)`` once."""
-        new_keys, new_counts = np.unique(self.key(inputs), return_counts=True)
-        keys, places = np.unique(np.concatenate([self.keys, new_keys]), return_inverse=True)
-        counts = np.zeros(len(keys), np.int64)
-        np.add.at(counts, places, np.concatenate([self.counts, new_counts]))
-        self.keys, self.counts = keys, counts
+        keys, counts = np.unique(self.key(inputs), return_counts=True)
+        places = np.searchsorted(self.keys, keys)
+        known = np.zeros(len(keys), bool)
+        inside = places < len(self.keys)
+        known[inside] = self.keys[places[inside]] == keys[inside]
+        self.counts[places[known]] += counts[known]
+        self.keys = np.insert(self.keys, places[~known], keys[~known])
+        self.counts = np.insert(self.counts, places[~known], counts[~known])
 
     def count(self, inputs: np.ndarray) -> np.ndarray:
         """How often inputs with the same key were added, ``(B,)``; 0 if never."""
