@@ -7,6 +7,7 @@ arithmetic, same observations.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -72,19 +73,20 @@ class RolloutEngine:
     def __init__(self, dynamics: Dynamics, n_threads: int | None = None, fork: bool = CAN_FORK) -> None:
         self.dynamics = dynamics
         self.n_threads = n_threads or available_cores()
-        self._fork = fork
+        self._fork = fork and not multiprocessing.current_process().daemon  # daemons may not have children
         # MjData takes megabytes: one per thread for good, never one per sample.
         self._datas = [mujoco.MjData(dynamics.model) for _ in range(self.n_threads)]
         self._simulations = [dynamics.bind(data) for data in self._datas]
         self._duration = dynamics.substeps * dynamics.model.opt.timestep
         self._pool: ThreadPoolExecutor | None = None
         self._helpers: ForkedWorkers | None = None
+        self._helper_seconds = 0.0
         self._native: Rollout | None = None
 
     @property
     def helper_seconds(self) -> float:
-        """CPU time spent in helper processes since the last reset."""
-        return self._helpers.cpu_seconds if self._helpers else 0.0
+        """CPU time spent in helper processes so far."""
+        return self._helper_seconds + (self._helpers.cpu_seconds if self._helpers else 0.0)
 
     def reset(self) -> None:
         """Let helper processes see what has changed in the dynamics, as a new episode may bring."""
@@ -172,6 +174,7 @@ class RolloutEngine:
 
     def _end_helpers(self) -> None:
         if self._helpers is not None:
+            self._helper_seconds += self._helpers.cpu_seconds
             self._helpers.close()
         self._helpers = None
 

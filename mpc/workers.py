@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 import mmap
 import multiprocessing
+import os
 import signal
 import sys
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from multiprocessing.connection import Connection
@@ -77,8 +79,8 @@ class ForkedWorkers:
         """Simulate ``samples`` on all workers.
 
         Raises:
-            RuntimeError: a helper has died; close and fork anew.
-            Exception: what the job raised, here or in a helper.
+            RuntimeError: a helper has died or failed; close and fork anew.
+            Exception: what the job raised here.
         """
         shared = self._views(controls.shape, features.shape)
         shared[0][:] = controls
@@ -89,17 +91,18 @@ class ForkedWorkers:
             self._job(0, state, self._take(samples), *shared)
             for pipe in self._pipes:
                 reply = pipe.recv()
-                if isinstance(reply, Exception):
-                    raise reply
+                if isinstance(reply, str):
+                    raise RuntimeError(f"a simulation process failed:\n{reply}")
                 self.cpu_seconds += reply
-        except (EOFError, BrokenPipeError):
+        except (EOFError, ConnectionError):
             raise RuntimeError("a simulation process has died (out of memory?); use one thread") from None
         features[samples], final_times[samples] = shared[1][samples], shared[2][samples]
 
     def close(self) -> None:
-        """End the helpers, whatever they are at."""
+        """End the helpers, whatever they are at; they own nothing."""
+        for process in self._processes:
+            process.kill()
         for process, pipe in zip(self._processes, self._pipes, strict=True):
-            process.terminate()
             process.join()
             pipe.close()
         self._processes, self._pipes = [], []
@@ -123,6 +126,10 @@ class ForkedWorkers:
     def _serve(self, worker: int, callers_end: Connection, pipe: Connection) -> None:
         """Life of a helper: until its pipe closes, because the caller has gone."""
         callers_end.close()
+        # What the caller has open would otherwise stay open here, such as the pipe to a video encoder that waits
+        # for its end. Locks and shared memory need no descriptor.
+        os.closerange(3, pipe.fileno())
+        os.closerange(pipe.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's to handle
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         while True:
@@ -133,8 +140,8 @@ class ForkedWorkers:
             start = time.process_time()
             try:
                 self._job(worker, state, self._take(samples), *self._views(*shapes))
-            except Exception as error:  # raised again in the caller
-                pipe.send(error)
+            except Exception:  # told to the caller
+                pipe.send(traceback.format_exc())
             else:
                 pipe.send(time.process_time() - start)
 

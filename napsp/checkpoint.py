@@ -139,7 +139,7 @@ def load_model(path: str | Path, env: str) -> Model:
     _load(policy, "policy.", tensors, path)
     if has_distance:
         _load(distance, "distance.", tensors, path)
-    visits = _load_visits(tensors, sizes, policy, path)
+    visits = _load_visits(tensors, sizes, config.visit_bits, policy, path)
     return Model(distance if has_distance else None, policy, config, header, visits)
 
 
@@ -152,15 +152,20 @@ def _narrow(array: np.ndarray) -> np.ndarray:
     return array.astype(np.int32) if fits else array
 
 
-def _load_visits(tensors: dict[str, Tensor], sizes: tuple[int, int, int], policy: Policy, path: Path) -> Visits | None:
+def _load_visits(
+    tensors: dict[str, Tensor], sizes: tuple[int, int, int], n_bits: int, policy: Policy, path: Path
+) -> Visits | None:
     if not any(name.startswith("visits.") for name in tensors):
         return None
-    empty = torch.empty(0)
-    projection, keys, counts = (tensors.get(f"visits.{name}", empty).numpy() for name in COUNT_TABLE)
-    fits = projection.shape[:-1] == (sizes[0] + sizes[1] + 1,) and keys.ndim == 1 and keys.shape == counts.shape
-    if not fits or not np.isfinite(projection).all() or (np.diff(keys) <= 0).any() or (counts < 1).any():
+    parts = [tensors.get(f"visits.{name}", torch.empty(0, dtype=torch.bool)) for name in COUNT_TABLE]
+    fits = parts[0].dtype == torch.float64 and all(part.dtype in (torch.int32, torch.int64) for part in parts[1:])
+    fits = fits and parts[0].shape == (sizes[0] + sizes[1] + 1, n_bits) and bool(parts[0].isfinite().all())
+    fits = fits and parts[1].ndim == 1 and parts[1].shape == parts[2].shape and bool((parts[2] >= 1).all())
+    keys = parts[1].long()
+    fits = fits and bool((keys.diff() > 0).all() and (keys >= 0).all() and (keys < 2**n_bits).all())
+    if not fits:
         raise UserError(f"{path} does not hold visit counts that fit its header; train it again")
-    table = HashedCounts(projection, keys.astype(np.int64), counts.astype(np.int64))
+    table = HashedCounts(parts[0].numpy(), keys.numpy(), parts[2].long().numpy())
     return Visits(table, policy.scaling.numbers())  # training counts under the networks' own scaling
 
 

@@ -17,6 +17,7 @@ from napsp.errors import UserError
 
 METHODS = ("sparse", "ddl", "offpolicy_ddl", "ours")
 AGENTS = ("sac", "ddpg")
+PRECISIONS = ("highest", "medium")
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,10 @@ class TrainConfig:
             raise UserError(f"unknown method {self.method!r}; choose one of: {', '.join(METHODS)}")
         if self.agent not in AGENTS:
             raise UserError(f"unknown agent {self.agent!r}; choose one of: {', '.join(AGENTS)}")
+        if self.matmul_precision not in PRECISIONS:
+            raise UserError(
+                f"unknown matmul_precision {self.matmul_precision!r}; choose one of: {', '.join(PRECISIONS)}"
+            )
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:  # false for NaN as well

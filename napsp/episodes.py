@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,10 +22,10 @@ def roll(
     actor: Actor,
     seeds: list[int],
     horizon: int,
-    options: list[dict[str, Any]] | None = None,
+    options: Sequence[dict[str, Any] | None] | None = None,
 ) -> Episodes:
     """Run one episode of ``horizon`` steps in each environment, in lockstep; ``options`` are its reset's."""
-    resets = zip(envs, seeds, options or [{}] * len(envs), strict=True)
+    resets = zip(envs, seeds, options or [None] * len(envs), strict=True)
     starts = [env.reset(seed=seed, options=chosen)[0] for env, seed, chosen in resets]
     n, spaces = len(envs), envs[0].observation_space.spaces  # type: ignore[attr-defined]
     observations = np.empty((n, horizon + 1, *spaces["observation"].shape), np.float32)

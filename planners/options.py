@@ -66,8 +66,8 @@ class PlanOptions:
     samples: int = 64
     """Plans per refinement."""
     horizon: int | None = None
-    """Control steps per plan; default by task (5 for reaching, 15 for pick and place, 10 for the claw,
-    16 for the mazes)."""
+    """Control steps per plan; default by task (5 for Fetch, 15 for pick and place with plain goals, 10 for the
+    claw, 16 for the mazes)."""
     knots: int | None = None
     """Spline knots per plan; default one per control step."""
     interpolation: Literal["zero", "linear", "cubic"] = "linear"

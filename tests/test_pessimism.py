@@ -92,8 +92,15 @@ def test_damaged_counts_are_refused(trained, tmp_path):
         {"visits.counts": tensors["visits.counts"][1:]},
         {"visits.projection": tensors["visits.projection"][1:]},
         {"visits.projection": torch.full_like(tensors["visits.projection"], float("nan"))},
+        {"visits.projection": tensors["visits.projection"][:, :8]},
+        {"visits.projection": tensors["visits.projection"].bfloat16()},
+        {"visits.counts": torch.full(tensors["visits.counts"].shape, float("nan"))},
+        {"visits.keys": tensors["visits.keys"] + 0.4},
+        {"visits.keys": tensors["visits.keys"] - 2**20},
+        {"visits.keys": None, "visits.counts": None},
     ):
-        write_tensors(path, {**tensors, **change}, header)
+        damaged = {name: tensor for name, tensor in {**tensors, **change}.items() if tensor is not None}
+        write_tensors(path, damaged, header)
         with pytest.raises(UserError, match="does not hold visit counts that fit"):
             load_model(path, "point_maze")
 

@@ -3,6 +3,8 @@
 import itertools
 import multiprocessing
 import os
+import select
+import signal
 import time
 
 import mujoco
@@ -285,12 +287,40 @@ def test_a_failing_helper_process_is_reported_and_replaced(dies, message):
     dynamics = Stubborn(dies)
     state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
     with RolloutEngine(dynamics, 2) as engine:
-        with pytest.raises((ValueError, RuntimeError), match=message):
+        with pytest.raises(RuntimeError, match=message):
             engine.rollout(state, actions)
         engine._simulations[1].advance = engine._simulations[0].advance  # mended
         engine._simulations[1].restore = engine._simulations[0].restore
         engine._datas[1] = engine._datas[0]
         assert not engine.rollout(state, actions).diverged.any(), "a fresh helper takes over"
+
+
+@pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")
+def test_helper_processes_keep_nothing_of_the_caller_open():
+    """A video encoder, for one, waits for the end of the pipe it reads from."""
+    dynamics = Explosive(open_loop=False)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
+    reader, writer = os.pipe()
+    with RolloutEngine(dynamics, 2) as engine, RolloutEngine(dynamics, 2) as other:
+        engine.rollout(state, actions)
+        other.rollout(state, actions)
+        os.close(writer)
+        assert select.select([reader], [], [], 10.0)[0] and os.read(reader, 1) == b"", "somebody still holds the pipe"
+    os.close(reader)
+
+
+@pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")
+def test_rollouts_run_in_daemons_and_under_a_callers_signal_handler(monkeypatch):
+    dynamics = Explosive(open_loop=False)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
+    handler = signal.signal(signal.SIGTERM, lambda *_: None)
+    for _ in range(5):  # closed at once: the helper may not have its own handlers yet
+        with RolloutEngine(dynamics, 2) as engine:
+            engine.rollout(state, actions[:2])
+    signal.signal(signal.SIGTERM, handler)
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)
+    with RolloutEngine(dynamics, 2) as engine:
+        assert not engine.rollout(state, actions).diverged.any()
 
 
 @pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")

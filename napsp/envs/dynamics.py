@@ -71,10 +71,13 @@ def get_state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 STATE_SIZES = ("nq", "nv", "na", "nu", "nmocap", "nbody", "neq", "nuserdata", "npluginstate")
+STATE_MEANING = ("jnt_type", "jnt_qposadr", "body_parentid", "body_mocapid", "actuator_trnid")
 
 
 def check_same_state(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
-    """Check that a state of ``model`` means the same in ``other``.
+    """Check that a state of ``model`` can be loaded into ``other`` and means the same joints and bodies there.
+
+    Where obstacles stand is not compared: a planner may ignore some on purpose.
 
     Raises:
         ValueError: the models differ in their joints, actuators, mocap or other bodies.
@@ -86,6 +89,8 @@ def check_same_state(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
         for n in STATE_SIZES
         if getattr(model, n) != getattr(other, n)
     ]
+    if not differ:
+        differ = [n for n in STATE_MEANING if not np.array_equal(getattr(model, n), getattr(other, n))]
     if differ:
         raise ValueError(
             f"a state of the environment does not fit the model that is planned in ({', '.join(differ)}); "
