@@ -227,7 +227,6 @@ PICK_PLACE: dict[str, Any] = {
     "matmul_precision": "medium",
     "n_temporal_updates": 25,
     "n_triangular_updates": 12,
-    "reached_bits": 20,
     "polyak": 0.005,
     "action_penalty": 0.02,
     "relabel_ratio": 0.4,
