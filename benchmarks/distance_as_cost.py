@@ -66,6 +66,8 @@ class CostOptions:
     """Task."""
     training_seeds: tuple[int, ...] = (0, 1, 2)
     """Checkpoints of these training seeds; missing ones are trained first."""
+    training_episodes: int | None = None
+    """Training episodes of the checkpoints; default the task's preset."""
     episodes: int = 50
     """Episodes per cell."""
     seed: int = 80_000
@@ -125,11 +127,12 @@ def main() -> int:
     unknown = set(options.variants) - set(VARIANTS)
     if unknown:
         raise UserError(f"unknown variant {unknown.pop()!r}; choose from: {'; '.join(VARIANTS)}")
+    length = {"n_episodes": options.training_episodes} if options.training_episodes else {}
     is_maze = hasattr(tasks.make(env_name).unwrapped, "shortest_steps")
     for variant in options.variants or [name for name in VARIANTS if is_maze or "shortest" not in name]:
         method, planner = VARIANTS[variant].method, VARIANTS[variant].planner
         for training_seed in options.training_seeds if method else ("",):
-            config = preset(env_name, method=method, seed=training_seed) if method else None
+            config = preset(env_name, method=method, seed=training_seed, **length) if method else None
             key = {
                 "env": env_name, "variant": variant, "training_seed": training_seed,
                 "training_hash": config.hash() if config else "",

@@ -51,6 +51,8 @@ class VersusOptions:
     """Also the first planner with the smoothing layer, at every budget."""
     training_seed: int = 0
     """Training seed of the checkpoint, which is trained first if it does not exist."""
+    training_episodes: int | None = None
+    """Training episodes of the checkpoint; default the task's preset."""
     progress: tuple[int, ...] = ()
     """Also checkpoints of runs that stop after these many training episodes."""
     episodes: int = 50
@@ -110,7 +112,8 @@ def _figures(
 def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
     """Configuration, planner ("policy" for none), budget, proposals."""
     env_name, found = tasks.canonical_name(options.env), []
-    configs = [preset(env_name, seed=options.training_seed)]
+    length = {"n_episodes": options.training_episodes} if options.training_episodes else {}
+    configs = [preset(env_name, seed=options.training_seed, **length)]
     configs += [preset(env_name, seed=options.training_seed, n_episodes=n) for n in options.progress]
     for config in configs:
         found.append((config, "policy", 0, False))

@@ -66,8 +66,8 @@ class PlanOptions:
     samples: int = 64
     """Plans per refinement."""
     horizon: int | None = None
-    """Control steps per plan; default by task (5 for Fetch, 15 for pick and place with plain goals, 10 for the
-    claw, 16 for the mazes)."""
+    """Control steps per plan; default by task (5 for reaching, 8 for pick and place, 15 with its plain
+    goals, 10 for the claw, 16 for the mazes)."""
     knots: int | None = None
     """Spline knots per plan; default one per control step."""
     interpolation: Literal["zero", "linear", "cubic"] = "linear"
@@ -269,7 +269,8 @@ OPTIONS: dict[str, type[PlanOptions]] = {
 }
 HORIZONS = {
     **dict.fromkeys(("point_maze", "point_maze_long"), 16),
-    **dict.fromkeys(("fetch_reach", "fetch_wall", "fetch_pick_place", "fetch_pick_place_wall"), 5),
+    **dict.fromkeys(("fetch_reach", "fetch_wall"), 5),
+    **dict.fromkeys(("fetch_pick_place", "fetch_pick_place_wall"), 8),
     **dict.fromkeys(("fetch_pick_place_plain", "fetch_pick_place_wall_plain"), 15),
     "claw": 10,
 }
