@@ -16,7 +16,7 @@ from napsp.statistics import wilson_interval
 from planners.cli import run
 
 ROOT = Path(__file__).parent.parent
-SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw")
+SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")
 
 
 def command(*arguments, **environment):
