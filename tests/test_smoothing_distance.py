@@ -13,7 +13,7 @@ from napsp.checkpoint import Model, load_model, shipped_model
 from napsp.config import preset
 from napsp.networks import DistanceNetwork, GaussianPolicy
 
-SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw")
+SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")
 
 
 def shipped(env):
