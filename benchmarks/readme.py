@@ -165,6 +165,26 @@ def speed_table() -> list[str]:
     return lines
 
 
+def throughput_table() -> list[str]:
+    """Plan throughput beside other libraries."""
+    rows = read_results(RESULTS / "throughput.csv")
+    lines = [
+        "### Whole plan calls beside other libraries (`python -m benchmarks.throughput`)",
+        "",
+        "Same model, samples, control steps, white noise and straight-line cost, interleaved in one run; 1 is the speed of bare `mujoco.rollout` on",
+        "the planner's very own motions (*replay*) or with constant controls (*raw*, which meets other contacts). What a library cannot express,",
+        "or what was not installed, is said.",
+        "",
+        "| task | samples x horizon | planner | plan / replay (CPU) | plan / replay (wall) | plan / raw (CPU) | CPU ms per plan |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        names = ("over_replay_cpu", "over_replay_wall", "over_raw_cpu", "cpu_ms")
+        cells = [f"{float(row[n]):.2f}" if row[n] else "-" for n in names[:3]] + [row["cpu_ms"] or row["note"]]
+        lines.append(f"| {row['env']} | {row['samples']} x {row['horizon']} | {row['planner']} | {' | '.join(cells)} |")
+    return lines if rows else []
+
+
 def smoothing_table() -> list[str]:
     """Planners with and without the smoothing layer."""
     lines = [
@@ -237,7 +257,7 @@ def main() -> int:
     """Replace the part of the README between the two markers."""
     tables = (
         cost_table, versus_table, smoothing_table, training_table, learning_table, accuracy_table, coverage_table,
-        speed_table, learner_table,
+        speed_table, throughput_table, learner_table,
     )  # fmt: skip
     body = "\n\n".join("\n".join(lines) for table in tables if (lines := table()))
     text = README.read_text()
