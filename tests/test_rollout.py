@@ -1,16 +1,12 @@
 """Planned and executed trajectories are the same numbers, to the last bit."""
 
 import itertools
-import multiprocessing
-import os
-import select
-import signal
-import time
 
 import mujoco
 import numpy as np
 import pytest
 from conftest import TASKS
+from explosive import Explosive
 from scripted import play
 
 from mpc.rollout import RolloutEngine
@@ -202,42 +198,6 @@ def test_results_do_not_depend_on_threads(name, worlds):
         np.testing.assert_array_equal(results[0], result)
 
 
-class Explosive:
-    """One slide joint that blows up under a large force."""
-
-    open_loop, substeps, n_features = True, 5, 2
-
-    def __init__(self, open_loop):
-        self.open_loop = open_loop
-        self.model = mujoco.MjModel.from_xml_string("""
-            <mujoco><option timestep="0.01" integrator="Euler"/><worldbody><body>
-            <joint name="x" type="slide"/><geom size="0.1" mass="1e-4"/></body></worldbody>
-            <actuator><motor joint="x" gear="1e9"/></actuator></mujoco>""")
-
-    def bind(self, data):
-        return Bound(self, data)
-
-    def control(self, actions):
-        return np.asarray(actions, np.float64)
-
-    def observe(self, features):
-        return features, features
-
-
-class Bound:
-    def __init__(self, dynamics, data):
-        self.model, self.data, self.substeps = dynamics.model, data, dynamics.substeps
-
-    def advance(self, controls, features):
-        for control, row in zip(controls, features, strict=True):
-            self.data.ctrl[:] = control
-            mujoco.mj_step(self.model, self.data, self.substeps)
-            row[:] = self.data.qpos[0], self.data.qvel[0]
-
-    def restore(self, state):
-        mujoco.mj_setState(self.model, self.data, state, INTEGRATION_STATE)
-
-
 @pytest.mark.parametrize("name", ["point_maze", "fetch_wall", "fetch_pick_place"])
 def test_no_steps_is_a_legal_rollout(name, worlds):
     world = worlds[name]
@@ -259,81 +219,3 @@ def test_divergence_is_detected_although_mujoco_resets_to_finite_values(open_loo
         trajectories = engine.rollout(get_state(dynamics.model, data), actions)
     assert trajectories.diverged.tolist() == [False, True, False]
     assert np.isfinite(trajectories.observations[:, -1]).all(), "a NaN test alone would have found nothing"
-
-
-class Stubborn(Explosive):
-    """Refuses to be controlled by worker 1, or dies there."""
-
-    def __init__(self, dies):
-        super().__init__(open_loop=False)
-        self.dies, self.bound = dies, 0
-
-    def bind(self, data):
-        bound = Bound(self, data)
-        advance = bound.advance
-        bound.advance = self.fail if self.bound else lambda *rows: (time.sleep(0.1), advance(*rows))
-        self.bound += 1
-        return bound
-
-    def fail(self, controls, features):
-        if self.dies:
-            os._exit(1)
-        raise ValueError("worker 1 will not")
-
-
-@pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")
-@pytest.mark.parametrize(("dies", "message"), [(False, "worker 1 will not"), (True, "has died")])
-def test_a_failing_helper_process_is_reported_and_replaced(dies, message):
-    dynamics = Stubborn(dies)
-    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
-    with RolloutEngine(dynamics, 2) as engine:
-        with pytest.raises(RuntimeError, match=message):
-            engine.rollout(state, actions)
-        engine._simulations[1].advance = engine._simulations[0].advance  # mended
-        engine._simulations[1].restore = engine._simulations[0].restore
-        engine._datas[1] = engine._datas[0]
-        assert not engine.rollout(state, actions).diverged.any(), "a fresh helper takes over"
-
-
-@pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")
-def test_helper_processes_keep_nothing_of_the_caller_open():
-    """A video encoder, for one, waits for the end of the pipe it reads from."""
-    dynamics = Explosive(open_loop=False)
-    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
-    reader, writer = os.pipe()
-    with RolloutEngine(dynamics, 2) as engine, RolloutEngine(dynamics, 2) as other:
-        engine.rollout(state, actions)
-        other.rollout(state, actions)
-        os.close(writer)
-        assert select.select([reader], [], [], 10.0)[0] and os.read(reader, 1) == b"", "somebody still holds the pipe"
-    os.close(reader)
-
-
-@pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")
-def test_rollouts_run_in_daemons_and_under_a_callers_signal_handler(monkeypatch):
-    dynamics = Explosive(open_loop=False)
-    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
-    handler = signal.signal(signal.SIGTERM, lambda *_: None)
-    for _ in range(5):  # closed at once: the helper may not have its own handlers yet
-        with RolloutEngine(dynamics, 2) as engine:
-            engine.rollout(state, actions[:2])
-    signal.signal(signal.SIGTERM, handler)
-    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)
-    with RolloutEngine(dynamics, 2) as engine:
-        assert not engine.rollout(state, actions).diverged.any()
-
-
-@pytest.mark.skipif(not CAN_FORK, reason="this system's rollouts use threads")
-def test_helper_processes_see_a_changed_model_after_reset_and_end_on_close():
-    dynamics = Explosive(open_loop=False)
-    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.full((4, 2, 1), 1e-9)
-    engine = RolloutEngine(dynamics, 2)
-    before = engine.rollout(state, actions).observations
-    dynamics.model.actuator_gear[0, 0] *= 2.0
-    engine.reset()
-    after = engine.rollout(state, actions).observations
-    assert (after[1] > before[1]).all()
-    np.testing.assert_array_equal(after[0], after[1])
-    (helper,) = engine._helpers._processes
-    engine.close()
-    assert not any(helper is child for child in multiprocessing.active_children())

@@ -1,0 +1,94 @@
+"""Helper processes of rollouts: failures are reported, nothing is left behind, changes are seen."""
+
+import multiprocessing
+import os
+import select
+import signal
+import time
+
+import mujoco
+import numpy as np
+import pytest
+from explosive import Bound, Explosive
+
+from mpc.rollout import RolloutEngine
+from mpc.workers import CAN_FORK
+from napsp.envs.dynamics import get_state
+
+pytestmark = pytest.mark.skipif(
+    not CAN_FORK, reason="helper processes exist on Linux only; elsewhere threads simulate, see test_rollout.py"
+)
+
+
+class Stubborn(Explosive):
+    """Refuses to be controlled by worker 1, or dies there."""
+
+    def __init__(self, dies):
+        super().__init__(open_loop=False)
+        self.dies, self.bound = dies, 0
+
+    def bind(self, data):
+        bound = Bound(self, data)
+        advance = bound.advance
+        bound.advance = self.fail if self.bound else lambda *rows: (time.sleep(0.1), advance(*rows))
+        self.bound += 1
+        return bound
+
+    def fail(self, controls, features):
+        if self.dies:
+            os._exit(1)
+        raise ValueError("worker 1 will not")
+
+
+@pytest.mark.parametrize(("dies", "message"), [(False, "worker 1 will not"), (True, "has died")])
+def test_a_failing_helper_process_is_reported_and_replaced(dies, message):
+    dynamics = Stubborn(dies)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
+    with RolloutEngine(dynamics, 2) as engine:
+        with pytest.raises(RuntimeError, match=message):
+            engine.rollout(state, actions)
+        engine._simulations[1].advance = engine._simulations[0].advance  # mended
+        engine._simulations[1].restore = engine._simulations[0].restore
+        engine._datas[1] = engine._datas[0]
+        assert not engine.rollout(state, actions).diverged.any(), "a fresh helper takes over"
+
+
+def test_helper_processes_keep_nothing_of_the_caller_open():
+    """A video encoder, for one, waits for the end of the pipe it reads from."""
+    dynamics = Explosive(open_loop=False)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
+    reader, writer = os.pipe()
+    with RolloutEngine(dynamics, 2) as engine, RolloutEngine(dynamics, 2) as other:
+        engine.rollout(state, actions)
+        other.rollout(state, actions)
+        os.close(writer)
+        assert select.select([reader], [], [], 10.0)[0] and os.read(reader, 1) == b"", "somebody still holds the pipe"
+    os.close(reader)
+
+
+def test_rollouts_run_in_daemons_and_under_a_callers_signal_handler(monkeypatch):
+    dynamics = Explosive(open_loop=False)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((4, 2, 1))
+    handler = signal.signal(signal.SIGTERM, lambda *_: None)
+    for _ in range(5):  # closed at once: the helper may not have its own handlers yet
+        with RolloutEngine(dynamics, 2) as engine:
+            engine.rollout(state, actions[:2])
+    signal.signal(signal.SIGTERM, handler)
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)
+    with RolloutEngine(dynamics, 2) as engine:
+        assert not engine.rollout(state, actions).diverged.any()
+
+
+def test_helper_processes_see_a_changed_model_after_reset_and_end_on_close():
+    dynamics = Explosive(open_loop=False)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.full((4, 2, 1), 1e-9)
+    engine = RolloutEngine(dynamics, 2)
+    before = engine.rollout(state, actions).observations
+    dynamics.model.actuator_gear[0, 0] *= 2.0
+    engine.reset()
+    after = engine.rollout(state, actions).observations
+    assert (after[1] > before[1]).all()
+    np.testing.assert_array_equal(after[0], after[1])
+    (helper,) = engine._helpers._processes
+    engine.close()
+    assert not any(helper is child for child in multiprocessing.active_children())
