@@ -74,7 +74,7 @@ class RolloutEngine:
         self.dynamics = dynamics
         self.n_threads = n_threads or available_cores()
         self._fork = fork and not multiprocessing.current_process().daemon  # daemons may not have children
-        # MjData takes megabytes: one per thread for good, never one per sample.
+        # MjData takes megabytes: one per worker for good, never one per sample.
         self._datas = [mujoco.MjData(dynamics.model) for _ in range(self.n_threads)]
         self._simulations = [dynamics.bind(data) for data in self._datas]
         self._duration = dynamics.substeps * dynamics.model.opt.timestep

@@ -103,7 +103,7 @@ class PlanOptions:
     """human: watch the episodes in Gymnasium's viewer as they run. It needs a display, and no video is made then:
     off-screen frames and the window would compete for OpenGL."""
     threads: int | None = None
-    """Simulation threads; default all cores. Plans do not depend on it."""
+    """Simulations at once, in threads or processes; default all cores. Plans do not depend on it."""
     smooth: bool = False
     """Smooth every plan with CasADi, the learned distance as cost; a smoother plan is executed only if
     rolling it out shows that the planner's own cost did not rise."""

@@ -1,7 +1,7 @@
 """The physics of a task, written once: one control step as functions of ``(model, data)``.
 
 An environment calls these functions on its own ``MjData``; the rollout engine in ``mpc``
-calls the very same functions on one ``MjData`` per thread. That is why a planned
+calls the very same functions on one ``MjData`` per worker. That is why a planned
 trajectory and the executed one agree bit for bit.
 """
 
