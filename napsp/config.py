@@ -110,6 +110,8 @@ class TrainConfig:
     """Floor of the adapted SAC alpha (rewards lie in [-1, 0])."""
     action_noise: float = 0.2
     """Standard deviation of DDPG's exploration noise; actions lie in [-1, 1]."""
+    clipped_double_q: bool = False
+    """Two critics for DDPG, which learn from the smaller of their values; SAC always has them."""
     action_penalty: float = 1.0
     """Weight of the mean squared action in DDPG's policy loss (HER's action_l2)."""
 
@@ -184,6 +186,7 @@ ADDED = {
     "matmul_precision": "highest",
     "other_goals_ratio": 0.0,
     "held_starts": 0.0,
+    "clipped_double_q": False,
 }
 MANY, TINY = 10**9, 1e-12
 RANGES: dict[str, tuple[float, float]] = {
@@ -229,6 +232,7 @@ PICK_PLACE: dict[str, Any] = {
     "n_triangular_updates": 12,
     "polyak": 0.005,
     "action_penalty": 0.02,
+    "clipped_double_q": True,
     "relabel_ratio": 0.4,
     "other_goals_ratio": 0.5,
     "held_starts": 0.5,

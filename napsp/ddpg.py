@@ -14,11 +14,16 @@ from napsp.networks import Critic, DeterministicPolicy
 
 
 class DDPG:
-    """Deterministic policy and one critic, each with a slow copy."""
+    """Deterministic policy and one critic, or two, each with a slow copy.
+
+    With ``clipped_double_q`` the critics learn from the smaller of two values (Fujimoto et al. 2018)
+    and the policy follows the first. One critic alone overrates states that it sees with few of their
+    goals, and rewards -d / T, with their small differences, seldom correct it.
+    """
 
     def __init__(self, sizes: tuple[int, int, int], config: TrainConfig) -> None:
         self.policy = DeterministicPolicy(sizes, config.hidden, config.action_noise)
-        self.critic = Critic(sizes, config.hidden, n_critics=1)
+        self.critic = Critic(sizes, config.hidden, 1 + config.clipped_double_q)
         self.target_policy, self.target_critic = copy.deepcopy(self.policy), copy.deepcopy(self.critic)
         self._vectors = [flatten([self.policy]), flatten([self.critic])]
         self._target_vectors = [flatten([self.target_policy]), flatten([self.target_critic])]
@@ -26,8 +31,9 @@ class DDPG:
             "policy_optimizer": adam(self._vectors[0], config.policy_learning_rate),
             "critic_optimizer": adam(self._vectors[1], config.policy_learning_rate),
         }
-        self._policy, self._critic = Backprop(self.policy.net), Backprop(self.critic.nets[0])
-        self._next_policy, self._next_critic = Backprop(self.target_policy.net), Backprop(self.target_critic.nets[0])
+        self._policy, self._next_policy = Backprop(self.policy.net), Backprop(self.target_policy.net)
+        self._critics = [Backprop(net) for net in self.critic.nets]
+        self._next_critics = [Backprop(net) for net in self.target_critic.nets]
         self._discount, self._polyak = config.discount, config.polyak
         self._action_penalty = config.action_penalty
         self._value_range = critic_targets_range(config)
@@ -58,12 +64,15 @@ class DDPG:
     def _update_critic(self, batch: PolicyBatch) -> dict[str, Tensor]:
         states = batch.next_observations
         next_actions = self._next_policy.forward(torch.cat([states, batch.goals], dim=1))[0].tanh()
-        next_values = self._next_critic.forward(torch.cat([states, next_actions, batch.goals], dim=1))[0]
+        inputs = torch.cat([states, next_actions, batch.goals], dim=1)
+        next_values = torch.stack([critic.forward(inputs)[0] for critic in self._next_critics]).amin(0)
         targets = batch.rewards.unsqueeze(1) + self._discount * next_values
         targets = targets.clamp(*self._value_range)
-        values, tape = self._critic.forward(torch.cat([batch.observations, batch.actions, batch.goals], dim=1))
-        errors = values - targets
-        self._critic.backward(tape, errors * (2.0 / len(errors)))
+        inputs = torch.cat([batch.observations, batch.actions, batch.goals], dim=1)
+        for critic in self._critics:
+            values, tape = critic.forward(inputs)
+            errors = values - targets
+            critic.backward(tape, errors * (2.0 / len(errors)))
         self.optimizers["critic_optimizer"].step()
         return {"critic_loss": errors.square().mean(), "mean_value": targets.mean()}
 
@@ -71,10 +80,11 @@ class DDPG:
         """Descend mean(-Q(s, tanh(u), g)) + penalty * mean(tanh(u)^2)."""
         outputs, policy_tape = self._policy.forward(torch.cat([batch.observations, batch.goals], dim=1))
         actions = outputs.tanh()
-        values, tape = self._critic.forward(torch.cat([batch.observations, actions, batch.goals], dim=1))
+        critic = self._critics[0]
+        values, tape = critic.forward(torch.cat([batch.observations, actions, batch.goals], dim=1))
         width = batch.observations.shape[1]
         columns = slice(width, width + actions.shape[1])
-        value_slope = self._critic.backward(tape, torch.ones_like(values), parameters=False, inputs=columns)
+        value_slope = critic.backward(tape, torch.ones_like(values), parameters=False, inputs=columns)
         slope = (2.0 * self._action_penalty / actions.shape[1]) * actions - value_slope
         self._policy.backward(policy_tape, slope * (1.0 - actions.square()) / len(actions))
         self.optimizers["policy_optimizer"].step()

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from napsp.buffer import FIELDS, Episodes
 from napsp.checkpoint import FORMAT, read_tensors, write_tensors
-from napsp.config import TrainConfig
+from napsp.config import ADDED, TrainConfig
 from napsp.errors import UserError
 from napsp.learner import Learner
 
@@ -51,7 +51,7 @@ def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], d
         UserError: damaged file, or a run with other settings.
     """
     tensors, header = read_tensors(path, "training state")
-    saved, wanted = dict(header["config"]), config.to_dict()
+    saved, wanted = {**ADDED, **header["config"]}, config.to_dict()
     different = [name for name in wanted if name != "n_episodes" and saved.get(name) != wanted[name]]
     if different:
         raise UserError(

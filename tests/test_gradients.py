@@ -129,22 +129,26 @@ def test_sac_gradients_equal_autograd():
         torch.testing.assert_close(own, wanted.detach())
 
 
-def test_ddpg_gradients_equal_autograd():
+@pytest.mark.parametrize("clipped_double_q", [False, True])
+def test_ddpg_gradients_equal_autograd(clipped_double_q):
     torch.manual_seed(0)
-    agent, rows = DDPG(SIZES, config(agent="ddpg", action_penalty=0.7)), batch()
+    changes = {"agent": "ddpg", "action_penalty": 0.7, "clipped_double_q": clipped_double_q}
+    agent, rows = DDPG(SIZES, config(**changes)), batch()
     before = {name: copy.deepcopy(network) for name, network in agent.networks().items()}
     agent.update(rows, torch.Generator())
 
     policy, critic = before["policy"], before["critic"]
     with torch.no_grad():
         next_actions = before["target_policy"].mode(rows.next_observations, rows.goals)
-        values = before["target_critic"](rows.next_observations, next_actions, rows.goals)[0]
-        targets = (rows.rewards + 0.98 * values).clamp(-50.0, 0.0)
-    loss = (critic(rows.observations, rows.actions, rows.goals)[0] - targets).square().mean()
+        values = before["target_critic"](rows.next_observations, next_actions, rows.goals)
+        assert len(values) == 1 + clipped_double_q
+        targets = (rows.rewards + 0.98 * values.amin(0)).clamp(-50.0, 0.0)
+    errors = critic(rows.observations, rows.actions, rows.goals) - targets
+    loss = errors.square().mean(1).sum()
     torch.testing.assert_close(written(agent.critic), gradients(loss, critic), atol=1e-6, rtol=1e-3)
 
     actions = policy.mode(rows.observations, rows.goals)
-    loss = -agent.critic(rows.observations, actions, rows.goals).mean() + 0.7 * actions.square().mean()
+    loss = -agent.critic(rows.observations, actions, rows.goals)[0].mean() + 0.7 * actions.square().mean()
     torch.testing.assert_close(written(agent.policy), gradients(loss, policy), atol=1e-6, rtol=1e-3)
     assert not torch.equal(agent.target_policy.net[0].weight, policy.net[0].weight)
 

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, save_model, write_atomically, write_tensors
-from napsp.config import METHODS, RANGES, TrainConfig, from_dict, preset
+from napsp.config import ADDED, METHODS, RANGES, TrainConfig, from_dict, preset
 from napsp.errors import UserError
 from napsp.networks import DistanceNetwork, GaussianPolicy
 from napsp.resume import STATE_FILE
@@ -67,7 +67,7 @@ def test_same_seed_same_run(tmp_path):
     assert learned(train(tiny(seed=4), tmp_path / "c")) != learned(first)
 
 
-@pytest.mark.parametrize("changes", [{}, {"agent": "ddpg", "rescale": True}])
+@pytest.mark.parametrize("changes", [{}, {"agent": "ddpg", "rescale": True, "clipped_double_q": True}])
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
     whole = train(tiny(**changes), tmp_path / "whole")
     train(tiny(**changes, n_episodes=8), tmp_path / "parts")
@@ -144,6 +144,14 @@ def test_other_settings_in_the_same_folder_are_refused(tmp_path):
     with pytest.raises(UserError, match="other settings \\(discount\\)"):
         train(tiny(discount=0.9), tmp_path)
     assert len(train(tiny(discount=0.9), tmp_path, restart=True)) == 3
+
+
+def test_a_run_begun_before_an_option_existed_is_continued(tmp_path):
+    train(tiny(n_episodes=8), tmp_path)
+    tensors, header = read_tensors(tmp_path / STATE_FILE, "training state")
+    header["config"] = {name: value for name, value in header["config"].items() if name not in ADDED}
+    write_tensors(tmp_path / STATE_FILE, tensors, header)
+    assert train(tiny(), tmp_path)[-1]["episodes"] == tiny().n_episodes
 
 
 def test_command_line_defaults_follow_the_task():
