@@ -20,6 +20,7 @@ from napsp import envs as tasks
 from napsp.checkpoint import Model, git_revision
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics, get_state
+from napsp.envs.lean import lean
 from napsp.errors import UserError
 from napsp.greedy import GreedyPolicy
 from planners.cem import CEM
@@ -229,15 +230,15 @@ def _check_goal(goal: tuple[float, ...] | None, env: Any) -> None:
 
 
 def _planned_dynamics(options: PlanOptions, world: Any) -> Dynamics:
-    """The physics to plan in; the environment's own unless coarse ones are asked for."""
-    own = world.dynamics.substeps
+    """The physics to plan in: the environment's own, less decoration, unless coarse ones are asked for."""
+    own, dynamics = world.dynamics.substeps, lean(world.dynamics, getattr(world, "model_spec", None))
     if options.planning_model == "exact":
-        return world.dynamics
+        return dynamics
     if (options.planning_substeps or 1) > own:
         raise UserError(
             f"--planning-substeps {options.planning_substeps} exceeds the {own} of {options.env}; use fewer"
         )
-    return coarse(world.dynamics, options.coarse_substeps(own))
+    return coarse(dynamics, options.coarse_substeps(own))
 
 
 def _smoother(

@@ -137,6 +137,7 @@ class ThinFetch(ABC):
 
     step_length = 0.033  # metres per control step along one axis at full speed
     grasps = False  # whether fingers need torsional friction
+    model_spec: mujoco.MjSpec
     model: Any
     data: Any
     goal: np.ndarray
@@ -156,6 +157,7 @@ class ThinFetch(ABC):
         self._add_obstacles(spec)
         if not self._arm_self_collision:
             filter_collisions(spec, self.grasps)
+        self.model_spec = spec
         return spec.compile()
 
     def _add_obstacles(self, spec: mujoco.MjSpec) -> None:  # noqa: B027 - most tasks have none

@@ -36,7 +36,7 @@ INNER_WALLS = (
 OUTER_WALLS = ((0.0, -1.0, 1.0, 0.0), (0.0, 1.0, 1.0, 0.0), (-1.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 1.0))
 
 
-def _build_model(scale: float) -> mujoco.MjModel:
+def _build_model(scale: float) -> mujoco.MjSpec:
     walls = "\n".join(
         f'<geom type="box" pos="{x * scale} {y * scale} 0.08" rgba="0.35 0.38 0.45 1" '
         f'size="{hx * scale + WALL_HALF_THICKNESS} {hy * scale + WALL_HALF_THICKNESS} 0.08"/>'
@@ -45,7 +45,7 @@ def _build_model(scale: float) -> mujoco.MjModel:
     # Mass 1 kg, damping 10, gear 10: top speed 1 m/s per axis, time constant 0.1 s (one
     # control step). Damping takes the place of a velocity clip, so that nothing happens
     # between two physics steps and a whole horizon is one open-loop rollout.
-    return mujoco.MjModel.from_xml_string(f"""
+    return mujoco.MjSpec.from_string(f"""
     <mujoco model="point_maze">
       <option timestep="0.01" gravity="0 0 0"/>
       <visual>
@@ -98,7 +98,8 @@ class PointMazeEnv(OpenLoopEnv):
 
     def __init__(self, scale: float = 1.0, render_mode: str | None = None) -> None:
         self.scale = scale
-        super().__init__(PointMazeDynamics(_build_model(scale)), 0.1 * scale, render_mode)
+        self.model_spec = _build_model(scale)
+        super().__init__(PointMazeDynamics(self.model_spec.compile()), 0.1 * scale, render_mode)
         self._paths: ShortestPaths | None = None
 
     def shortest_steps(self, positions: np.ndarray, goal: np.ndarray) -> np.ndarray:
