@@ -1,8 +1,9 @@
 """How fast is a whole plan call beside raw ``mujoco.rollout`` and other planning libraries?
 
 ``python -m benchmarks.throughput`` plans with every library at the same states of an episode: same MuJoCo model,
-samples, control steps, threads, white noise and straight-line cost, interleaved in one run in a rotating order. Each
-is compared with two ``mujoco.rollout`` calls that plan nothing:
+samples, control steps, threads, white noise and straight-line cost, interleaved in one run in a rotating order. All get
+the environment's model; that this package plans in a copy without cameras and visual shapes is part of what is
+timed. Each is compared with two ``mujoco.rollout`` calls that plan nothing, in the environment's model:
 
 * raw: constant controls, those of the state;
 * replay: the very motions that the planner simulated, which may meet more or fewer contacts than raw's.

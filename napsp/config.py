@@ -63,6 +63,9 @@ class TrainConfig:
     """Output layer of d / T."""
     target_polyak: float = 1.0
     """Weight of the new parameters in the per-iteration target update; 1 copies (line 9)."""
+    slow_distance: bool = False
+    """Reward the policy with the target network, and save that one. With a small target_polyak it
+    averages out what the last iteration's few episodes did to d."""
 
     # -- uncertainty, eq. 2 --
     uncertainty_scale: float = 10.0
@@ -187,6 +190,7 @@ ADDED = {
     "other_goals_ratio": 0.0,
     "held_starts": 0.0,
     "clipped_double_q": False,
+    "slow_distance": False,
 }
 MANY, TINY = 10**9, 1e-12
 RANGES: dict[str, tuple[float, float]] = {
@@ -230,6 +234,8 @@ PICK_PLACE: dict[str, Any] = {
     "matmul_precision": "medium",
     "n_temporal_updates": 25,
     "n_triangular_updates": 12,
+    "target_polyak": 0.05,
+    "slow_distance": True,
     "polyak": 0.005,
     "action_penalty": 0.02,
     "clipped_double_q": True,

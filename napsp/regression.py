@@ -26,6 +26,7 @@ class DistanceRegression:
         self.optimizer = adam(self._vector, config.distance_learning_rate)
         self._backprop = Backprop(self.distance.net)
         self._softplus, self._polyak = config.distance_output == "softplus", config.target_polyak
+        self.trusted = self.target_distance if config.slow_distance else self.distance
 
     @torch.no_grad()
     def inputs(self, observations: np.ndarray, actions: np.ndarray, goals: np.ndarray) -> Tensor:
@@ -33,8 +34,8 @@ class DistanceRegression:
         return self.distance.inputs(*map(torch.from_numpy, (observations, actions, goals)))
 
     def steps(self, inputs: Tensor) -> Tensor:
-        """d_theta ``(B,)`` in steps, within [0, T], of rows of :meth:`inputs`."""
-        return _steps(self.distance, inputs)
+        """Distance to use ``(B,)`` in steps, within [0, T], of rows of :meth:`inputs`: d_theta or its slow copy."""
+        return _steps(self.trusted, inputs)
 
     def target_steps(self, inputs: Tensor) -> Tensor:
         """d_theta_old ``(B,)`` in steps, within [0, T], of rows of :meth:`inputs`."""

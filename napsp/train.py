@@ -154,14 +154,14 @@ class Run:
             last = torch.from_numpy(episodes.observations[at_goal, -1])
             goals = torch.from_numpy(episodes.desired_goals[at_goal])
             with torch.inference_mode():
-                steps = self.learner.regression.distance.steps(last, policy.mode(last, goals), goals)
+                steps = self.learner.regression.trusted.steps(last, policy.mode(last, goals), goals)
             row["distance_at_goal"] = float(steps.mean())
         return row
 
     def _save(self, iteration: int, seconds: float) -> None:
         learner = self.learner
         save_training(self.folder / STATE_FILE, learner, iteration, seconds, self.revisions)
-        distance = learner.regression.distance if self.config.learns_distance else None
+        distance = learner.regression.trusted if self.config.learns_distance else None
         visits = learner.counts.visit_table if self.config.learns_distance else None  # what it is uncertain of
         save_model(
             self.folder / MODEL_FILE,

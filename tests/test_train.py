@@ -61,13 +61,27 @@ def test_every_method_runs_and_writes_its_files(method, tmp_path, capsys):
     assert model.header["episodes"] == 16 and model.config.method == method
 
 
+@pytest.mark.parametrize("slow", [False, True])
+def test_the_slow_distance_is_the_one_saved_and_used(tmp_path, slow):
+    train(tiny(slow_distance=slow, target_polyak=0.1), tmp_path)
+    state = read_tensors(tmp_path / STATE_FILE, "training state")[0]
+    saved = load_model(tmp_path, "point_maze").distance.state_dict()
+    same = {
+        name: all(torch.equal(value, state[f"{name}.{key}"]) for key, value in saved.items())
+        for name in ("distance", "target_distance")
+    }
+    assert same == {"distance": not slow, "target_distance": slow}
+
+
 def test_same_seed_same_run(tmp_path):
     first, second = (train(tiny(seed=3), tmp_path / name) for name in ("a", "b"))
     assert learned(first) == learned(second)
     assert learned(train(tiny(seed=4), tmp_path / "c")) != learned(first)
 
 
-@pytest.mark.parametrize("changes", [{}, {"agent": "ddpg", "rescale": True, "clipped_double_q": True}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"agent": "ddpg", "rescale": True, "clipped_double_q": True, "slow_distance": True}]
+)
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
     whole = train(tiny(**changes), tmp_path / "whole")
     train(tiny(**changes, n_episodes=8), tmp_path / "parts")

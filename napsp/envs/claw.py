@@ -63,8 +63,8 @@ class ClawEnv(OpenLoopEnv):
     step_length = 0.23
 
     def __init__(self, render_mode: str | None = None) -> None:
-        self.model_spec = mujoco.MjSpec.from_file(str(MODEL_FILE))
-        dynamics = ClawDynamics(self.model_spec.compile())
+        self.model_spec = spec = mujoco.MjSpec.from_file(str(MODEL_FILE))
+        dynamics = ClawDynamics(spec.compile())
         super().__init__(dynamics, 2.0 * np.sin(0.5 * ANGLE_THRESHOLD), render_mode)
 
     @property

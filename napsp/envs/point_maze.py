@@ -98,8 +98,8 @@ class PointMazeEnv(OpenLoopEnv):
 
     def __init__(self, scale: float = 1.0, render_mode: str | None = None) -> None:
         self.scale = scale
-        self.model_spec = _build_model(scale)
-        super().__init__(PointMazeDynamics(self.model_spec.compile()), 0.1 * scale, render_mode)
+        self.model_spec = spec = _build_model(scale)
+        super().__init__(PointMazeDynamics(spec.compile()), 0.1 * scale, render_mode)
         self._paths: ShortestPaths | None = None
 
     def shortest_steps(self, positions: np.ndarray, goal: np.ndarray) -> np.ndarray:
