@@ -273,10 +273,17 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-def preset(env: str, **overrides: Any) -> TrainConfig:
-    """The default configuration of a task."""
+WITH_DISTANCE: dict[str, dict[str, Any]] = {name: {"discount": 0.9} for name, p in PRESETS.items() if p is PICK_PLACE}
+"""What differs for methods that learn d: how far the goal is stands in every reward, so a short horizon will do."""
+
+
+def preset(env: str, method: str = "ours", **overrides: Any) -> TrainConfig:
+    """The default configuration of a task and method."""
     env = canonical_name(env)
-    return TrainConfig(**{"env": env, **PRESETS.get(env, {}), **overrides})
+    values = {"env": env, "method": method, **PRESETS.get(env, {})}
+    if method != "sparse":
+        values |= WITH_DISTANCE.get(env, {})
+    return TrainConfig(**{**values, **overrides})
 
 
 def from_dict(values: dict[str, Any]) -> TrainConfig:

@@ -19,7 +19,7 @@ RECORD_FILE = "training.json"
 
 def command_line(config: TrainConfig) -> str:
     """The command that repeats a run: the task, method and seed, and what differs from the preset."""
-    default = preset(config.env).to_dict()
+    default = preset(config.env, method=config.method).to_dict()
     words = ["python -m napsp.train", f"--env {config.env}", f"--method {config.method}", f"--seed {config.seed}"]
     for name, value in config.to_dict().items():
         if name not in ("env", "method", "seed") and value != default[name]:

@@ -245,11 +245,13 @@ class Options:
 
 
 def parse(arguments: list[str]) -> tuple[TrainConfig, Options]:
-    """Read the command line; the defaults depend on ``--env``."""
-    env = "fetch_wall"
-    for flag, value in zip(arguments, [*arguments[1:], ""], strict=True):
-        env = value if flag == "--env" else flag.removeprefix("--env=") if flag.startswith("--env=") else env
-    default = preset(env)
+    """Read the command line; the defaults depend on ``--env`` and ``--method``."""
+    chosen = {"env": "fetch_wall", "method": "ours"}
+    for flag, following in zip(arguments, [*arguments[1:], ""], strict=True):
+        name, joined, value = flag.removeprefix("--").partition("=")
+        if flag.startswith("--") and name in chosen:
+            chosen[name] = value if joined else following
+    default = preset(**chosen)
 
     def both(
         config: Annotated[TrainConfig, tyro.conf.arg(name="")] = default,

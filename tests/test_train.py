@@ -172,6 +172,9 @@ def test_command_line_defaults_follow_the_task():
     config, options = parse(["--env", "point_maze_long", "--seed", "7", "--method", "ddl"])
     assert config == preset("point_maze_long", seed=7, method="ddl") and options.out is None
     assert parse(["--env=fetch_reach_wall"])[0].env == "fetch_wall"
+    for method, discount in (("ours", 0.9), ("sparse", 0.98)):
+        config = parse(["--env", "fetch_pick_place", f"--method={method}"])[0]
+        assert config == preset("fetch_pick_place", method=method) and config.discount == discount
 
 
 def test_bad_settings_name_the_fix():
