@@ -1,12 +1,14 @@
 """What does smoothing cost and bring? ``python -m benchmarks.smoothing --env fetch_wall``.
 
 A planner with and without the CasADi layer, with a first-order low-pass, and with coloured noise, on the same episodes.
-Cells that are already in ``results/smoothing.csv`` are not run again; the figure shows one episode's actions.
+Cells that are already in ``results/smoothing.csv`` are not run again. One figure shows an episode's actions, the other
+smoothness against the time to the goal of all cells there are.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +33,11 @@ VARIANTS: dict[str, dict[str, Any]] = {
     SMOOTHED: {"smooth": True},
     "low-pass 0.3": {"low_pass": 0.3},
     "low-pass 0.6": {"low_pass": 0.6},
+    "low-pass 0.8": {"low_pass": 0.8},
+    "smoothed, rate 4": {"smooth": True, "smooth_rate": 4.0, "smooth_jerk": 1.2},
+    "smoothed, tolerance 1": {"smooth": True, "smooth_tolerance": 1.0, "smooth_rate": 4.0, "smooth_jerk": 1.2},
 }
+USUAL = (PLAIN, SMOOTHED, "low-pass 0.3", "low-pass 0.6", "coloured noise")
 COLOURED: dict[str, dict[str, Any]] = {
     "mppi": {"noise_correlation": 0.95},
     "predictive_sampling": {"noise_correlation": 0.95},
@@ -56,7 +62,7 @@ class SmoothingOptions:
     """Episodes per cell."""
     seed: int = 90_000
     """First episode seed; these seeds were never used for tuning."""
-    variants: tuple[str, ...] = (PLAIN, SMOOTHED, "low-pass 0.3", "low-pass 0.6", "coloured noise")
+    variants: tuple[str, ...] = USUAL
     """Which cells; plain comes first, the others are compared with it."""
     threads: int = 1
     """Simulation threads."""
@@ -108,6 +114,31 @@ def draw(path: Path, name: str, results: dict[str, EpisodeResult]) -> None:
     np.atleast_1d(axes)[0].legend(loc="lower right", fontsize=8, ncols=4)
     np.atleast_1d(axes)[-1].set_xlabel("control step (dotted: first at the goal)")
     figure.suptitle(name)
+    save_figure(figure, path)
+
+
+def draw_frontier(path: Path, rows: Sequence[Any]) -> None:
+    """Action rate against steps to the goal, a panel per task, planner and proposals; down and left is better."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    panels: dict[tuple[str, ...], list[Any]] = {}
+    for row in rows:
+        panels.setdefault((row["env"], row["planner"], row["proposals"]), []).append(row)
+    figure, axes = plt.subplots(1, len(panels), figsize=(3.6 * len(panels), 3.2), layout="constrained")
+    for axis, ((env, planner, proposals), cells) in zip(np.atleast_1d(axes), panels.items(), strict=True):
+        for row in cells:
+            hits, rate = np.mean(first_hits(row, tasks.episode_length(env))), float(row["action_rate"])
+            kind = next((k for k in ("smoothed", "low-pass", "coloured") if row["variant"].startswith(k)), PLAIN)
+            color = {"smoothed": "tab:blue", "low-pass": "tab:orange", "coloured": "tab:green", PLAIN: "black"}[kind]
+            axis.scatter(hits, rate, color=color)
+            note = row["variant"].removeprefix("smoothed, ")
+            axis.annotate(note, (hits, rate), (3, 3), textcoords="offset points", fontsize=6)
+        axis.set(xlabel="mean steps to the goal", yscale="log")
+        axis.set_title(f"{env}, {planner}{'' if proposals == 'True' else ', no proposals'}", fontsize=8)
+    np.atleast_1d(axes)[0].set_ylabel("mean squared action rate")
     save_figure(figure, path)
 
 
@@ -164,6 +195,7 @@ def main() -> int:
         if variant in (PLAIN, SMOOTHED):
             shown[f"{options.planner}, {variant}"] = session.run_episode(options.seed)
         session.close()
+    draw_frontier(RESULTS / "smoothing_frontier.png", read_results(path))
     suffix, words = ("", "") if options.proposals else ("_no_proposals", ", without policy proposals")
     draw(RESULTS / f"smoothing_{env_name}{suffix}.png", f"{env_name}, seed {options.seed}{words}", shown)
     return 0
