@@ -1,6 +1,5 @@
 """Planning models without decoration: fewer shapes, the same physics. tests/test_rollout.py runs them against step."""
 
-import mujoco
 import numpy as np
 import pytest
 from conftest import TASKS
@@ -29,16 +28,19 @@ def test_only_what_collides_is_left_and_all_else_is_the_same(name, worlds):
 
 def test_what_an_environment_changed_after_compiling_is_kept(worlds):
     world = worlds["fetch_wall"]
-    friction, timestep = world.model.dof_damping.copy(), world.model.opt.timestep
+    damping, timestep = world.model.dof_damping.copy(), world.model.opt.timestep
+    wall = world.model.geom("wall").id
+    width = world.model.geom_size[wall, 0]
     try:
         world.model.dof_damping += 1.0
+        world.model.geom_size[wall, 0] = 0.5 * width
         world.model.opt.timestep = 0.001
         planned = lean(world.dynamics, world.model_spec).model
     finally:
-        world.model.dof_damping[:], world.model.opt.timestep = friction, timestep
-    np.testing.assert_array_equal(planned.dof_damping, friction + 1.0)
-    assert planned.opt.timestep == 0.001
-    assert mujoco.mj_name2id(planned, mujoco.mjtObj.mjOBJ_GEOM, "wall") >= 0
+        world.model.dof_damping[:], world.model.opt.timestep = damping, timestep
+        world.model.geom_size[wall, 0] = width
+    np.testing.assert_array_equal(planned.dof_damping, damping + 1.0)
+    assert planned.opt.timestep == 0.001 and planned.geom("wall").size[0] == 0.5 * width
 
 
 def test_planners_simulate_it_and_environments_do_not():

@@ -15,7 +15,7 @@ from napsp.envs.dynamics import Dynamics
 
 D = TypeVar("D", bound=Dynamics)
 
-PHYSICS = ("body_", "jnt_", "dof_", "eq_", "actuator_", "tendon_", "site_")
+PHYSICS = ("body_", "jnt_", "dof_", "eq_", "actuator_", "tendon_", "site_", "geom_")
 SHAPES = ("adr", "num")  # endings of the numbers that say which shapes a body has
 
 
@@ -37,11 +37,12 @@ def lean(dynamics: D, spec: mujoco.MjSpec | None) -> D:
 
 
 def _without_decoration(spec: Any, model: mujoco.MjModel) -> mujoco.MjModel:
+    shown = [geom for geom in spec.geoms if not (geom.contype or geom.conaffinity)]
+    kept = np.setdiff1d(np.arange(model.ngeom), [geom.id for geom in shown])
+    for element in (*spec.cameras, *spec.lights, *shown):
+        # mujoco < 3.3.3 has the one, later versions the other
+        spec.delete(element) if hasattr(spec, "delete") else element.delete()
     for body in spec.bodies:
-        unseen = [geom for geom in body.geoms if not (geom.contype or geom.conaffinity)]
-        for element in (*body.cameras, *body.lights, *unseen):
-            # mujoco < 3.3.3 has the one, later versions the other
-            spec.delete(element) if hasattr(spec, "delete") else element.delete()
         i, body.explicitinertial = body.id, True  # visual geoms may have mass
         body.mass, body.inertia = model.body_mass[i], model.body_inertia[i]
         body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
@@ -49,9 +50,8 @@ def _without_decoration(spec: Any, model: mujoco.MjModel) -> mujoco.MjModel:
     for name in dir(model.opt):
         if not name.startswith("_") and not callable(getattr(model.opt, name)):
             setattr(stripped.opt, name, getattr(model.opt, name))
-    for name in dir(model):
-        if name.startswith(PHYSICS) and not name.endswith(SHAPES):
+    for name in dir(model):  # also what an environment has changed since it compiled
+        if name.startswith(PHYSICS) and not name.endswith(SHAPES) and isinstance(getattr(model, name), np.ndarray):
             values = getattr(model, name)
-            if isinstance(values, np.ndarray) and values.shape == getattr(stripped, name).shape:
-                getattr(stripped, name)[...] = values  # also what an environment has changed since it compiled
+            getattr(stripped, name)[...] = values[kept] if name.startswith("geom_") else values
     return stripped
