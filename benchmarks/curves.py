@@ -33,12 +33,15 @@ TITLES = {
 
 
 def current_runs(env: str) -> dict[str, list[dict[str, Any]]]:
-    """Published runs of a task by method; only those of today's presets."""
+    """Published runs of a task by method; only those of today's presets, of each seed the longest."""
+    longest: dict[tuple[str, int], dict[str, Any]] = {}
+    for run in sorted(learning_curves(env), key=lambda run: run["config"]["n_episodes"]):
+        method, n_episodes = run["config"]["method"], run["config"]["n_episodes"]
+        if run["config_hash"] == preset(env, method=method, n_episodes=n_episodes).hash():
+            longest[method, run["seed"]] = run
     runs: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for run in learning_curves(env):
-        method = run["config"]["method"]
-        if run["config_hash"] == preset(env, method=method).hash():
-            runs[method].append(run)
+    for (method, _), run in sorted(longest.items()):
+        runs[method].append(run)
     return runs
 
 

@@ -98,7 +98,10 @@ def learning_table() -> list[str]:
                     for k in ("success_rate", "any_success_rate", "max_reward")
                 ]
                 first = [_first_full(run["curve"]) for run in runs[method]]
-                cells = [str(len(last)), f"{last[0]['episodes']:.0f}", *summaries, ", ".join(first)]
+                wanted = preset(env, method=method).n_episodes
+                done = min(int(row["episodes"]) for row in last)
+                length = str(done) if done >= wanted else f"{done} of {wanted}"
+                cells = [str(len(last)), length, *summaries, ", ".join(first)]
             lines.append(f"| {env} | {method} | {' | '.join(cells)} |")
     return lines
 
@@ -211,7 +214,11 @@ def smoothing_table() -> list[str]:
 
 def versus_table() -> list[str]:
     """The policy against planners with the same distance."""
-    rows = read_results(RESULTS / "policy_vs_mpc.csv")
+    rows = [
+        row
+        for row in read_results(RESULTS / "policy_vs_mpc.csv")
+        if row["training_hash"] == preset(row["env"], n_episodes=int(row["training_episodes"])).hash()
+    ]
     lines = [
         "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
         "",
