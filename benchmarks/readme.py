@@ -193,18 +193,18 @@ def smoothing_table() -> list[str]:
     lines = [
         "### Smoothing (`python -m benchmarks.smoothing --env NAME`)",
         "",
-        "MPPI on the same fresh episodes, one thread. *Action rate* is the mean squared change from one action to the next; *risen* counts",
+        "The same fresh episodes, one thread. *Action rate* is the mean squared change from one action to the next; *risen* counts",
         "accepted plans whose true cost went up.",
         "",
-        "| task | proposals | variant | success | first hit | action rate | jerk | accepted | risen | search + smoothing [ms] |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| task | planner | proposals | variant | success | first hit | action rate | jerk | accepted | risen | search + smoothing [ms] |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in read_results(RESULTS / "smoothing.csv"):
         hits = [float(hit) for hit in row["first_hits"].split() if hit != "-"]
         n, rate = int(row["episodes"]), float(row["success_rate"])
         accepted = f"{float(row['accepted_share']):.2f}" if row.get("accepted_share") else "-"
         lines.append(
-            f"| {row['env']} | {'yes' if row['proposals'] == 'True' else 'no'} | {row['variant']} "
+            f"| {row['env']} | {row['planner']} | {'yes' if row['proposals'] == 'True' else 'no'} | {row['variant']} "
             f"| {describe(rate, wilson_interval(round(rate * n), n))} | {sum(hits) / max(1, len(hits)):.1f} "
             f"| {float(row['action_rate']):.4f} | {float(row['jerk']):.1f} | {accepted} | {row.get('risen') or '-'} "
             f"| {float(row['search_ms']):.0f} + {float(row['smoothing_ms']):.0f} |"
