@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import mujoco
@@ -34,6 +34,7 @@ from mpc.rollout import RolloutEngine
 from mpc.speed import HELD, RawRollout
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision
+from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import UserError, run_command
@@ -56,6 +57,8 @@ class SpeedOptions:
     """Control steps per plan."""
     proposals: bool = True
     """Let the policy's own rollout join the samples, as planning does by default."""
+    planning_model: Literal["exact", "coarse"] = "exact"
+    """The model planned in; replay and raw run the environment's, or its coarse copy, too."""
     rounds: int = 15
     """Interleaved rounds, one per control step of the episode."""
     threads: int | None = None
@@ -132,9 +135,13 @@ def measure_plan(options: SpeedOptions) -> dict[str, Any]:
             horizon=options.horizon,
             threads=options.threads,
             proposals=options.proposals,
+            planning_model=options.planning_model,
         ),
     )
     world, controller = session.env.unwrapped, session.controller
+    dynamics = world.dynamics  # decoration included, which plans leave out
+    if options.planning_model == "coarse":
+        dynamics = coarse(dynamics, controller.engine.dynamics.substeps)
     n_threads = controller.engine.n_threads
     table: dict[str, list[tuple[float, float]]] = {"plan": [], "replay": [], "raw": []}
     observation, _ = session.env.reset(seed=0)
@@ -142,14 +149,14 @@ def measure_plan(options: SpeedOptions) -> dict[str, Any]:
     controller.plan(world, observation)  # first call: allocation
     for _ in range(options.rounds):
         state = get_state(world.model, world.data)
-        raw = RawRollout(world.dynamics, n_threads, state, options.samples, options.horizon)
+        raw = RawRollout(dynamics, n_threads, state, options.samples, options.horizon)
         raw()  # first call: allocation
         table["raw"].append(clocked(raw, controller.engine))
         tried: list[np.ndarray] = []
         controller.engine.rollout = lambda s, a, known=None: (tried.append(a), simulate(s, a, known))[1]  # noqa: B023
         plans: list[Plan] = []
         table["plan"].append(clocked(lambda: plans.append(controller.plan_from(state, observation)), controller.engine))  # noqa: B023
-        replay = Replay(world.dynamics, state, tried[0], n_threads)
+        replay = Replay(dynamics, state, tried[0], n_threads)
         table["replay"].append(clocked(replay, controller.engine))
         replay.close()
         raw.close()
@@ -210,6 +217,7 @@ def main() -> int:
         "samples": options.samples,
         "horizon": options.horizon,
         "proposals": options.proposals,
+        "planning_model": options.planning_model,
         "threads": options.threads or os.cpu_count(),
         "mujoco": mujoco.__version__,
         "gymnasium": gymnasium.__version__,
