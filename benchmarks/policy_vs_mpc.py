@@ -112,7 +112,7 @@ def _figures(
 def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
     """Configuration, planner ("policy" for none), budget, proposals."""
     env_name, found = tasks.canonical_name(options.env), []
-    length = {"n_episodes": options.training_episodes} if options.training_episodes else {}
+    length: dict[str, Any] = {"n_episodes": options.training_episodes} if options.training_episodes else {}
     configs = [preset(env_name, seed=options.training_seed, **length)]
     configs += [preset(env_name, seed=options.training_seed, n_episodes=n) for n in options.progress]
     for config in configs:

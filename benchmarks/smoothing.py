@@ -118,7 +118,10 @@ def draw(path: Path, name: str, results: dict[str, EpisodeResult]) -> None:
 
 
 def draw_frontier(path: Path, rows: Sequence[Any]) -> None:
-    """Action rate against steps to the goal, a panel per task, planner and proposals; down and left is better."""
+    """Action rate against steps to the goal, a panel per task, planner and proposals; down and left is better.
+
+    An episode that never arrives counts as its length.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -195,7 +198,8 @@ def main() -> int:
         if variant in (PLAIN, SMOOTHED):
             shown[f"{options.planner}, {variant}"] = session.run_episode(options.seed)
         session.close()
-    draw_frontier(RESULTS / "smoothing_frontier.png", read_results(path))
+    alike = [row for row in read_results(path) if row["episodes"] == str(options.episodes)]
+    draw_frontier(RESULTS / "smoothing_frontier.png", alike)
     suffix, words = ("", "") if options.proposals else ("_no_proposals", ", without policy proposals")
     draw(RESULTS / f"smoothing_{env_name}{suffix}.png", f"{env_name}, seed {options.seed}{words}", shown)
     return 0

@@ -69,12 +69,14 @@ class DDPG:
         targets = batch.rewards.unsqueeze(1) + self._discount * next_values
         targets = targets.clamp(*self._value_range)
         inputs = torch.cat([batch.observations, batch.actions, batch.goals], dim=1)
+        losses = []
         for critic in self._critics:
             values, tape = critic.forward(inputs)
             errors = values - targets
             critic.backward(tape, errors * (2.0 / len(errors)))
+            losses.append(errors.square().mean())
         self.optimizers["critic_optimizer"].step()
-        return {"critic_loss": errors.square().mean(), "mean_value": targets.mean()}
+        return {"critic_loss": torch.stack(losses).mean(), "mean_value": targets.mean()}
 
     def _update_policy(self, batch: PolicyBatch) -> None:
         """Descend mean(-Q(s, tanh(u), g)) + penalty * mean(tanh(u)^2)."""

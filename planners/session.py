@@ -20,7 +20,7 @@ from napsp import envs as tasks
 from napsp.checkpoint import Model, git_revision
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics, get_state
-from napsp.envs.lean import lean
+from napsp.envs.lean import lean, refresh
 from napsp.errors import UserError
 from napsp.greedy import GreedyPolicy
 from planners.cem import CEM
@@ -122,6 +122,7 @@ class Session:
         """Plan one full episode; it goes on after the goal is reached, to see whether it holds."""
         started = time.monotonic()
         observation, _ = self.env.reset(seed=seed)
+        refresh(self.controller.engine.dynamics)
         self.controller.reset()
         world = self.env.unwrapped
         if self.options.goal is not None:
@@ -231,7 +232,8 @@ def _check_goal(goal: tuple[float, ...] | None, env: Any) -> None:
 
 def _planned_dynamics(options: PlanOptions, world: Any) -> Dynamics:
     """The physics to plan in: the environment's own, less decoration, unless coarse ones are asked for."""
-    own, dynamics = world.dynamics.substeps, lean(world.dynamics, getattr(world, "model_spec", None))
+    own, spec = world.dynamics.substeps, getattr(world, "model_spec", None)
+    dynamics = lean(world.dynamics, spec, world.action_space.shape[0])
     if options.planning_model == "exact":
         return dynamics
     if (options.planning_substeps or 1) > own:

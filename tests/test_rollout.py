@@ -57,7 +57,7 @@ def start_grasp(world, seed, lift):
 
 def planned_in(world):
     """The dynamics that planners simulate: the environment's without what only pictures show."""
-    return lean(world.dynamics, world.model_spec)
+    return lean(world.dynamics, world.model_spec, world.action_space.shape[0])
 
 
 def compare(world, engine, actions):

@@ -6,52 +6,103 @@ MuJoCo moves every camera, light and visual shape in every physics step.
 from __future__ import annotations
 
 import copy
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
 
-from napsp.envs.dynamics import Dynamics
+from napsp.envs.dynamics import INTEGRATION_STATE, Dynamics
 
 D = TypeVar("D", bound=Dynamics)
 
-PHYSICS = ("body_", "jnt_", "dof_", "eq_", "actuator_", "tendon_", "site_", "geom_")
-SHAPES = ("adr", "num")  # endings of the numbers that say which shapes a body has
+# Not to be copied from the whole model: addresses, bounding volumes, names, and what is left out.
+OWN = ("name", "bvh_", "cam_", "light_", "mat_", "tex_", "body_bvh", "body_geom", "mesh_bvh", "oct_", "_")
+# What may refer to shapes by number, so that leaving some out would confuse it.
+REFERRING = ("nsensor", "npair", "ntendon", "nflex", "nskin", "nplugin")
+N_COMPARED = 3  # control steps
 
 
-def lean(dynamics: D, spec: mujoco.MjSpec | None) -> D:
+def lean(dynamics: D, spec: mujoco.MjSpec | None, n_actions: int) -> D:
     """Return the same dynamics on a model without visual geoms, cameras and lights.
 
-    Rollouts agree with the environment's to the bit. As for :func:`napsp.envs.coarse.coarse`, what ``dynamics`` has
-    derived from its model must hold for both.
+    They are compared over a few control steps first; unless they agree to the bit, because a model refers to its shapes
+    by number say, ``dynamics`` come back as they are. Shapes that collide with nothing now must stay so; everything
+    else that an environment changes in its model reaches the copy by :func:`refresh`.
 
     Args:
         dynamics: the environment's.
         spec: what their model was compiled from; without it they are returned as they are.
+        n_actions: A.
     """
-    if spec is None:
+    model = dynamics.model
+    known = hasattr(mujoco.MjsGeom, "id")  # from MuJoCo 3.3.1 on
+    if spec is None or not known or any(getattr(model, count, 0) for count in REFERRING) or model.geom_fluid.any():
         return dynamics
-    planned = copy.copy(dynamics)
-    planned.model = _without_decoration(spec.copy(), dynamics.model)
-    return planned
+    planned: Any = copy.copy(dynamics)
+    try:
+        planned.model, kept = _without_decoration(spec.copy(), model)
+        planned.decoration = Decoration(model, planned.model, kept)
+        refresh(planned)
+        agree = np.array_equal(_few_steps(planned, n_actions), _few_steps(dynamics, n_actions))
+    except (ValueError, IndexError, KeyError):  # MuJoCo cannot compile it, or the task looks for what is gone
+        return dynamics
+    return planned if agree else dynamics
 
 
-def _without_decoration(spec: Any, model: mujoco.MjModel) -> mujoco.MjModel:
-    shown = [geom for geom in spec.geoms if not (geom.contype or geom.conaffinity)]
-    kept = np.setdiff1d(np.arange(model.ngeom), [geom.id for geom in shown])
-    for element in (*spec.cameras, *spec.lights, *shown):
+@dataclass(frozen=True)
+class Decoration:
+    """How a lean model came about.
+
+    Attributes:
+        whole: the environment's model.
+        stripped: the lean one.
+        kept: the geoms of the one that are in the other.
+    """
+
+    whole: mujoco.MjModel
+    stripped: mujoco.MjModel
+    kept: np.ndarray
+
+
+def refresh(dynamics: Dynamics) -> None:
+    """Copy to a lean model what its environment has changed in the whole one; nothing to do for other dynamics."""
+    decoration: Decoration | None = getattr(dynamics, "decoration", None)
+    if decoration is None or decoration.stripped is not dynamics.model:  # a coarse copy keeps what it was made of
+        return
+    whole, stripped = decoration.whole, decoration.stripped
+    for part in ("opt", "stat"):
+        for name in dir(getattr(whole, part)):
+            value = getattr(getattr(whole, part), name)
+            if not name.startswith("_") and not callable(value):
+                setattr(getattr(stripped, part), name, value)
+    for name in dir(whole):
+        values, own = getattr(whole, name), getattr(stripped, name)
+        if isinstance(values, np.ndarray) and not name.startswith(OWN):
+            values = values[decoration.kept] if name.startswith("geom_") else values
+            if values.shape == own.shape:
+                own[...] = values
+
+
+def _without_decoration(spec: Any, model: mujoco.MjModel) -> tuple[mujoco.MjModel, np.ndarray]:
+    """The model of what collides, and its geoms' numbers in ``model``."""
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    for element in (*spec.cameras, *spec.lights, *(geom for geom in spec.geoms if not collides[geom.id])):
         # mujoco < 3.3.3 has the one, later versions the other
         spec.delete(element) if hasattr(spec, "delete") else element.delete()
     for body in spec.bodies:
-        i, body.explicitinertial = body.id, True  # visual geoms may have mass
+        i, body.explicitinertial, body.fullinertia = body.id, True, np.full(6, np.nan)  # visual geoms may have mass
         body.mass, body.inertia = model.body_mass[i], model.body_inertia[i]
         body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
-    stripped = spec.compile()
-    for name in dir(model.opt):
-        if not name.startswith("_") and not callable(getattr(model.opt, name)):
-            setattr(stripped.opt, name, getattr(model.opt, name))
-    for name in dir(model):  # also what an environment has changed since it compiled
-        if name.startswith(PHYSICS) and not name.endswith(SHAPES) and isinstance(getattr(model, name), np.ndarray):
-            values = getattr(model, name)
-            getattr(stripped, name)[...] = values[kept] if name.startswith("geom_") else values
-    return stripped
+    return spec.compile(), np.flatnonzero(collides)
+
+
+def _few_steps(dynamics: Dynamics, n_actions: int) -> np.ndarray:
+    data = mujoco.MjData(dynamics.model)
+    mujoco.mj_forward(dynamics.model, data)
+    state = np.empty(mujoco.mj_stateSize(dynamics.model, INTEGRATION_STATE))
+    mujoco.mj_getState(dynamics.model, data, state, INTEGRATION_STATE)
+    simulation, features = dynamics.bind(data), np.zeros((N_COMPARED, dynamics.n_features))
+    simulation.restore(state)
+    simulation.advance(dynamics.control(np.full((N_COMPARED, n_actions), 0.3, np.float32)), features)
+    return features
