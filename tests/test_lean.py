@@ -2,7 +2,6 @@
 
 import copy
 
-import mujoco
 import numpy as np
 import pytest
 from conftest import TASKS
@@ -14,8 +13,6 @@ from napsp.envs.fetch import FetchReachWallEnv
 from napsp.envs.lean import lean, refresh
 from planners.options import MPPIOptions
 from planners.session import Session
-
-pytestmark = pytest.mark.skipif(not hasattr(mujoco.MjsGeom, "id"), reason="this MuJoCo cannot tell shapes apart")
 
 
 @pytest.mark.parametrize("name", TASKS)

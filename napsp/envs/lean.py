@@ -32,12 +32,12 @@ def lean(dynamics: D, spec: mujoco.MjSpec | None, n_actions: int) -> D:
 
     Args:
         dynamics: the environment's.
-        spec: what their model was compiled from; without it they are returned as they are.
+        spec: what their model was compiled from; without it, or before MuJoCo 3.3.4, which first lets a
+            specification delete shapes, they are returned as they are.
         n_actions: A.
     """
     model = dynamics.model
-    known = hasattr(mujoco.MjsGeom, "id")  # from MuJoCo 3.3.1 on
-    if spec is None or not known or any(getattr(model, count, 0) for count in REFERRING) or model.geom_fluid.any():
+    if spec is None or not hasattr(spec, "delete") or any(getattr(model, count, 0) for count in REFERRING) or model.geom_fluid.any():
         return dynamics
     planned: Any = copy.copy(dynamics)
     try:
@@ -87,13 +87,13 @@ def refresh(dynamics: Dynamics) -> None:
 def _without_decoration(spec: Any, model: mujoco.MjModel) -> tuple[mujoco.MjModel, np.ndarray]:
     """The model of what collides, and its geoms' numbers in ``model``."""
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    for element in (*spec.cameras, *spec.lights, *(geom for geom in spec.geoms if not collides[geom.id])):
-        # mujoco < 3.3.3 has the one, later versions the other
-        spec.delete(element) if hasattr(spec, "delete") else element.delete()
+    shown = [geom for geom in spec.geoms if not collides[geom.id]]
     for body in spec.bodies:
         i, body.explicitinertial, body.fullinertia = body.id, True, np.full(6, np.nan)  # visual geoms may have mass
         body.mass, body.inertia = model.body_mass[i], model.body_inertia[i]
         body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
+    for element in (*spec.cameras, *spec.lights, *shown):
+        spec.delete(element)
     return spec.compile(), np.flatnonzero(collides)
 
 
