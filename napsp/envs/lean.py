@@ -37,7 +37,12 @@ def lean(dynamics: D, spec: mujoco.MjSpec | None, n_actions: int) -> D:
         n_actions: A.
     """
     model = dynamics.model
-    if spec is None or not hasattr(spec, "delete") or any(getattr(model, count, 0) for count in REFERRING) or model.geom_fluid.any():
+    if (
+        spec is None
+        or not hasattr(spec, "delete")
+        or any(getattr(model, count, 0) for count in REFERRING)
+        or model.geom_fluid.any()
+    ):
         return dynamics
     planned: Any = copy.copy(dynamics)
     try:
