@@ -70,6 +70,11 @@ def trained(config: TrainConfig, wait: bool = True) -> Path:
     return folder
 
 
+def published(config: TrainConfig) -> bool:
+    """Whether the curve of a configuration is in the results, here or brought along with them."""
+    return (ROWS / f"{cell_name(config)}.json").is_file()
+
+
 def publish(folder: Path) -> None:
     """Copy what describes a finished run, and its learning curve, to ``results/runs``."""
     path = ROWS / f"{folder.name}.json"

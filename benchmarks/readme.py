@@ -197,8 +197,9 @@ def smoothing_table() -> list[str]:
     lines = [
         "### Smoothing (`python -m benchmarks.smoothing --env NAME`)",
         "",
-        "The same fresh episodes, one thread. *Action rate* is the mean squared change from one action to the next; *risen* counts",
-        "accepted plans whose true cost went up.",
+        "The same fresh episodes, one thread. *Action rate* is the mean squared change from one action to the next; *accepted*",
+        "the share of plans that the layer made smoother, + of those that it had made at an earlier step and the search handed back",
+        "unchanged; *risen* counts accepted plans whose true cost went up.",
         "",
         "| task | planner | proposals | variant | success | first hit | action rate | jerk | accepted | risen | search + smoothing [ms] |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
@@ -207,11 +208,11 @@ def smoothing_table() -> list[str]:
     for row in sorted(rows, key=lambda row: (row["env"], row["planner"], row["proposals"])):
         hits = [float(hit) for hit in row["first_hits"].split() if hit != "-"]
         n, rate = int(row["episodes"]), float(row["success_rate"])
-        accepted = f"{float(row['accepted_share']):.2f}" if row.get("accepted_share") else "-"
+        shares = [f"{float(row[name]):.2f}" for name in ("accepted_share", "kept_share") if row.get(name)]
         lines.append(
             f"| {row['env']} | {row['planner']} | {'yes' if row['proposals'] == 'True' else 'no'} | {row['variant']} "
             f"| {describe(rate, wilson_interval(round(rate * n), n))} | {sum(hits) / max(1, len(hits)):.1f} "
-            f"| {float(row['action_rate']):.4f} | {float(row['jerk']):.1f} | {accepted} | {row.get('risen') or '-'} "
+            f"| {float(row['action_rate']):.4f} | {float(row['jerk']):.1f} | {' + '.join(shares) or '-'} | {row.get('risen') or '-'} "
             f"| {float(row['search_ms']):.0f} + {float(row['smoothing_ms']):.0f} |"
         )
     return lines

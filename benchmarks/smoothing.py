@@ -44,7 +44,7 @@ COLOURED: dict[str, dict[str, Any]] = {
     "icem": {"noise_exponent": 4.0},
 }
 """Noise of slower changes than the planner's own."""
-FIGURES = ("action_rate", "jerk", "search_ms", "smoothing_ms", "accepted_share", "linearise_ms", "solve_ms",
+FIGURES = ("action_rate", "jerk", "search_ms", "smoothing_ms", "accepted_share", "kept_share", "linearise_ms", "solve_ms",
            "verify_ms", "build_ms")  # fmt: skip
 
 
@@ -160,7 +160,8 @@ def describe_row(variant: str, row: Any, plain: Any, env_name: str) -> str:
     )
     if row.get("calls"):
         text += (
-            f"\n{'':14s} accepted {100 * number['accepted_share']:.1f} % of {row['calls']}, cost risen in "
+            f"\n{'':14s} accepted {100 * number['accepted_share']:.1f} % of {row['calls']}, "
+            f"handed back smooth {100 * number['kept_share']:.1f} %, cost risen in "
             f"{row['risen']}, solver failures {row['solver_failures']}; "
             f"ms: linearise {number['linearise_ms']:.1f}, solve {number['solve_ms']:.1f}, "
             f"verify {number['verify_ms']:.1f}; built once in {number['build_ms']:.1f}"

@@ -1,7 +1,7 @@
 """All cells of the paper's comparison: ``python -m benchmarks.sweep --jobs 2``.
 
-A cell is one task, method and seed. Finished cells (same configuration) are skipped, a killed
-one is resumed, and any number of processes - started by ``--jobs``, by hand, or by Ray on
+A cell is one task, method and seed. Cells whose curve of the same configuration lies in
+``results/runs`` are skipped, a killed one is resumed, and any number of processes - started by ``--jobs``, by hand, or by Ray on
 several machines with a shared folder - work on the same list without meeting.
 """
 
@@ -18,7 +18,7 @@ from typing import Literal
 import torch
 import tyro
 
-from benchmarks.cells import BusyError, cell_name, trained
+from benchmarks.cells import BusyError, cell_name, published, trained
 from napsp import envs as tasks
 from napsp.config import METHODS, TrainConfig, preset
 from napsp.errors import UserError, run_command
@@ -36,6 +36,8 @@ class SweepOptions:
     """Methods."""
     seeds: int = 3
     """Training seeds 0 .. seeds - 1."""
+    n_episodes: int | None = None
+    """Training episodes of every cell; None takes each task's own."""
     jobs: int = 1
     """Processes on this machine; one single-threaded process per core is fastest."""
     backend: Literal["local", "ray"] = "local"
@@ -48,12 +50,15 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
     for seed in range(options.seeds):
         for env in options.envs:
             for method in options.methods:
-                yield preset(tasks.canonical_name(env), method=method, seed=seed)
+                length = {} if options.n_episodes is None else {"n_episodes": options.n_episodes}
+                yield preset(tasks.canonical_name(env), method=method, seed=seed, **length)
 
 
 def work(options: SweepOptions) -> None:
     """Train cell after cell, leaving out those that others work on."""
     for config in cells(options):
+        if published(config):
+            continue
         try:
             trained(config, wait=False)
         except BusyError:
@@ -86,7 +91,7 @@ def work_on_ray(options: SweepOptions) -> None:
 
     ray.init(ignore_reinit_error=True)  # the cluster of RAY_ADDRESS, or this machine
     remote = ray.remote(num_cpus=1)(task)
-    ray.get([remote.remote(config) for config in cells(options)])
+    ray.get([remote.remote(config) for config in cells(options) if not published(config)])
 
 
 def main() -> int:

@@ -58,6 +58,8 @@ class SmoothingStatistics:
 
     n_calls: int = 0
     n_accepted: int = 0
+    n_kept: int = 0
+    """Sampled plans that were the layer's last plan, moved on in time, and that it left as they were."""
     n_solver_failures: int = 0
     n_risen: int = 0
     """Accepted plans with a true objective above the one before: zero unless a tolerance is given."""
@@ -76,6 +78,7 @@ class SmoothingStatistics:
             "calls": self.n_calls,
             "accepted": self.n_accepted,
             "accepted_share": self.n_accepted / max(self.n_calls, 1),
+            "kept_share": self.n_kept / max(self.n_calls, 1),
             "risen": self.n_risen,
             "solver_failures": self.n_solver_failures,
             "mean_cost_drop": float(drop[np.isfinite(drop)].mean()) if np.isfinite(drop).any() else 0.0,
@@ -125,6 +128,7 @@ class Smoother:
         """A new episode: forget the last plan, and what was learned about the reach of the linear model."""
         self.trust = self.config.trust
         self._last: np.ndarray | None = None
+        self._last_is_smooth = False
 
     def __call__(
         self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
@@ -144,9 +148,10 @@ class Smoother:
         for _ in range(self.config.rounds if np.isfinite(task.before) else 0):
             if not self._improve(task, times):
                 break
-        self._last = task.plan
+        accepted = task.plan is not task.sampled
+        self._last, self._last_is_smooth = task.plan, accepted or task.kept
         self._record(task, times)
-        return Smoothed(task.plan, task.cost, task.plan is not task.sampled)
+        return Smoothed(task.plan, task.cost, accepted)
 
     def _start(
         self, state: np.ndarray, observation: dict[str, np.ndarray], sampled: np.ndarray, executed: np.ndarray
@@ -156,12 +161,13 @@ class Smoother:
         The search shakes its plan anew at every step. Where that brings nothing, least of all at the goal, there is no
         reason to follow it.
         """
-        plans = sampled[None]
+        plans, kept = sampled[None], False
         if self._last is not None:
             held = np.concatenate([self._last[1:], self._last[-1:]])
             plans = np.stack([sampled, held, 0.5 * (sampled + held)])
+            kept = self._last_is_smooth and np.array_equal(sampled, held)
         costs = self._true_costs(state, observation, plans)
-        task = _Task(state, observation, executed, sampled, float(costs[0]), sampled, float(costs[0]), np.inf)
+        task = _Task(state, observation, executed, sampled, float(costs[0]), sampled, float(costs[0]), np.inf, kept=kept)
         task.merit = float(self._merit(plans[:1], costs[:1], executed)[0])
         task.rate = float(action_rate(sampled[None], executed)[0])
         self._choose(task, plans[1:], costs[1:])
@@ -181,9 +187,12 @@ class Smoother:
         with _clock(times, "verify"):
             plans = task.plan + np.array(self.FRACTIONS)[:, None, None] * change
             plans = np.clip(plans, -1.0, 1.0).astype(task.plan.dtype)
-            best = self._choose(task, plans, self._true_costs(task.state, task.observation, plans))
-        # As far as the linear model was right this time, it is trusted the next time.
-        factor = 0.5 if best is None else 1.5 if best == 0 else max(self.FRACTIONS[best], 0.5)
+            costs = self._true_costs(task.state, task.observation, plans)
+            best = self._choose(task, plans, costs)
+        # As far as the linear model was right this time, it is trusted the next time; a plan that is refused because
+        # there was nothing to smooth says nothing about it.
+        right = np.flatnonzero(costs <= task.before + self.config.tolerance)
+        factor = 1.5 if best == 0 else max(self.FRACTIONS[right[0]], 0.5) if right.size else 0.5
         self.trust = float(np.clip(factor * self.trust, self.MIN_TRUST, self.MAX_TRUST))
         return best is not None
 
@@ -234,6 +243,7 @@ class Smoother:
     def _record(self, task: _Task, times: dict[str, float]) -> None:
         s = self.statistics
         s.n_accepted += task.plan is not task.sampled
+        s.n_kept += task.kept and task.plan is task.sampled
         s.n_risen += bool(task.cost > task.before)
         s.before.append(task.before)
         s.after.append(task.cost)
@@ -254,6 +264,7 @@ class _Task:
     cost: float
     merit: float
     rate: float = np.inf
+    kept: bool = False
 
 
 @contextmanager

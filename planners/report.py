@@ -139,6 +139,7 @@ class Report:
         if smoothing is not None:
             self._console.print(
                 f"smoothing: {100 * smoothing['accepted_share']:.0f} % of {smoothing['calls']} plans accepted, "
+                f"{100 * smoothing['kept_share']:.0f} % handed back smooth by the search, "
                 f"{smoothing['risen']} with a higher cost, {smoothing['solver_failures']} solver failures; median ms: "
                 f"linearise {smoothing['linearise_ms']:.1f}, solve {smoothing['solve_ms']:.1f}, "
                 f"verify {smoothing['verify_ms']:.1f}; built once in {smoothing['build_ms']:.1f}",
