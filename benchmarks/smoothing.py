@@ -44,8 +44,8 @@ COLOURED: dict[str, dict[str, Any]] = {
     "icem": {"noise_exponent": 4.0},
 }
 """Noise of slower changes than the planner's own."""
-FIGURES = ("action_rate", "jerk", "search_ms", "smoothing_ms", "accepted_share", "kept_share", "linearise_ms", "solve_ms",
-           "verify_ms", "build_ms")  # fmt: skip
+FIGURES = ("action_rate", "jerk", "search_ms", "smoothing_ms", "accepted_share", "kept_share", "linearise_ms",
+           "solve_ms", "verify_ms", "build_ms")  # fmt: skip
 
 
 @dataclass(frozen=True)

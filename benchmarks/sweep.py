@@ -1,8 +1,8 @@
 """All cells of the paper's comparison: ``python -m benchmarks.sweep --jobs 2``.
 
-A cell is one task, method and seed. Cells whose curve of the same configuration lies in
-``results/runs`` are skipped, a killed one is resumed, and any number of processes - started by ``--jobs``, by hand, or by Ray on
-several machines with a shared folder - work on the same list without meeting.
+A cell is one task, method and seed. Cells whose curve of the same configuration lies in ``results/runs``
+are skipped, a killed one is resumed, and any number of processes - started by ``--jobs``, by hand, or by
+Ray on several machines with a shared folder - work on the same list without meeting.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from mpc.workers import CAN_FORK, ForkedWorkers
-from napsp.envs.dynamics import Dynamics
+from napsp.envs.dynamics import Dynamics, get_state
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps observations ``(1, O)`` and goals ``(1, G)`` to actions ``(1, A)``."""
@@ -110,12 +110,8 @@ class RolloutEngine:
         if horizon:  # without: d(s, a, g) alone, nothing to simulate
             run = self._run_native if self.dynamics.open_loop else self._run_workers
             run(state, self.dynamics.control(actions), samples, features, final_times)
-        # A simulation that blew up was reset by MuJoCo to finite values at time zero, so its
-        # clock is behind; looking for NaN alone would let it win.
-        late_by = state[0] + horizon * self._duration - final_times
-        diverged = (late_by > 0.5 * self.dynamics.model.opt.timestep) | ~np.isfinite(features).all((1, 2))
-        observations, achieved_goals = self.dynamics.observe(features)
-        return Trajectories(observations, achieved_goals, diverged)
+        diverged = self._diverged(state, features, final_times)
+        return Trajectories(*self.dynamics.observe(features), diverged)
 
     def follow(self, state: np.ndarray, observation: dict[str, np.ndarray], actor: Actor, horizon: int) -> Followed:
         """Let an actor that sees every simulated state act for ``horizon`` steps from ``state``."""
@@ -130,6 +126,25 @@ class RolloutEngine:
             times[step] = data.time
             current = self.dynamics.observe(features[step])[0]
         return Followed(np.stack(actions), features, times)
+
+    def trace(self, state: np.ndarray, actions: np.ndarray) -> tuple[Trajectories, np.ndarray]:
+        """Roll out one plan ``(H, A)``; also the full states ``(H, S)`` before each of its steps."""
+        simulation, data, dynamics = self._simulations[0], self._datas[0], self.dynamics
+        features, states = np.empty((1, len(actions), dynamics.n_features)), np.empty((len(actions), len(state)))
+        controls = dynamics.control(actions)
+        simulation.restore(_later(state))
+        for step in range(len(actions)):
+            states[step] = get_state(dynamics.model, data)
+            simulation.advance(controls[step : step + 1], features[0, step : step + 1])
+        final_times = np.array([data.time]) if len(actions) else state[:1] + 1.0
+        diverged = self._diverged(_later(state), features, final_times)
+        return Trajectories(*dynamics.observe(features), diverged), states
+
+    def _diverged(self, start: np.ndarray, features: np.ndarray, final_times: np.ndarray) -> np.ndarray:
+        # A simulation that blew up was reset by MuJoCo to finite values at time zero, so its
+        # clock is behind; looking for NaN alone would let it win.
+        late_by = start[0] + features.shape[1] * self._duration - final_times
+        return (late_by > 0.5 * self.dynamics.model.opt.timestep) | ~np.isfinite(features).all((1, 2))
 
     def _run_workers(
         self,

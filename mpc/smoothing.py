@@ -35,6 +35,10 @@ class SmoothingConfig:
     """Weight of the squared actions."""
     distance: float = 1.0
     """Weight of d."""
+    multiples: tuple[float, ...] = (1.0,)
+    """Solve with rate and jerk weighed so many times as heavily; all answers are verified together."""
+    choice: float = 1.0
+    """Weight of roughness, against the true cost, in the choice among verified answers."""
     along: bool = True
     """Read d where the planner's cost reads it; otherwise at the end of the plan only."""
     trust: float = 0.3
@@ -119,7 +123,9 @@ class Smoother:
         weights = cost.weights(horizon) if self.config.along else np.eye(horizon)[-1]
         self._read = np.flatnonzero(weights)
         self._weights = self.config.distance * weights[self._read]
-        self._roughness = Roughness(self.config.rate, self.config.jerk, self.config.effort)
+        rate, jerk, effort = self.config.rate, self.config.jerk, self.config.effort
+        self._roughness = Roughness(rate, jerk, effort)
+        self._solved = [Roughness(multiple * rate, multiple * jerk, effort) for multiple in self.config.multiples]
         self._solver: Solver = SOLVERS[self.config.solver](self.distance, horizon * n_actions, len(self._read))
         self.statistics.build_ms = 1e3 * (time.perf_counter() - started)
         self.reset()
@@ -167,7 +173,8 @@ class Smoother:
             plans = np.stack([sampled, held, 0.5 * (sampled + held)])
             kept = self._last_is_smooth and np.array_equal(sampled, held)
         costs = self._true_costs(state, observation, plans)
-        task = _Task(state, observation, executed, sampled, float(costs[0]), sampled, float(costs[0]), np.inf, kept=kept)
+        before = float(costs[0])
+        task = _Task(state, observation, executed, sampled, before, sampled, before, np.inf, kept=kept)
         task.merit = float(self._merit(plans[:1], costs[:1], executed)[0])
         task.rate = float(action_rate(sampled[None], executed)[0])
         self._choose(task, plans[1:], costs[1:])
@@ -179,22 +186,33 @@ class Smoother:
             n_simulated = self.cost.simulated_steps(self.horizon)
             linear = linearise(self.engine, task.state, task.plan, n_simulated, self.config.step)
         with _clock(times, "solve"):
-            try:
-                change = self._solver.solve(self._problem(task, linear)).reshape(task.plan.shape)
-            except (SolverError, RuntimeError, np.linalg.LinAlgError):  # CasADi raises RuntimeError
-                self.statistics.n_solver_failures += 1
+            changes = self._changes(task, linear)
+            if not changes:
                 return False
         with _clock(times, "verify"):
-            plans = task.plan + np.array(self.FRACTIONS)[:, None, None] * change
+            fractions = np.tile(self.FRACTIONS, len(changes))
+            plans = task.plan + fractions[:, None, None] * np.repeat(changes, len(self.FRACTIONS), axis=0)
             plans = np.clip(plans, -1.0, 1.0).astype(task.plan.dtype)
             costs = self._true_costs(task.state, task.observation, plans)
             best = self._choose(task, plans, costs)
         # As far as the linear model was right this time, it is trusted the next time; a plan that is refused because
         # there was nothing to smooth says nothing about it.
-        right = np.flatnonzero(costs <= task.before + self.config.tolerance)
-        factor = 1.5 if best == 0 else max(self.FRACTIONS[right[0]], 0.5) if right.size else 0.5
+        right = fractions[costs <= task.before + self.config.tolerance].max(initial=0.5)
+        factor = 1.5 if best is not None and fractions[best] == 1.0 else right
         self.trust = float(np.clip(factor * self.trust, self.MIN_TRUST, self.MAX_TRUST))
         return best is not None
+
+    def _changes(self, task: _Task, linear: Linearisation) -> list[np.ndarray]:
+        """Answers ``(H, A)``, one for each multiple of the roughness; problems that fail are counted."""
+        found = []
+        for roughness in self._solved:
+            try:
+                change = self._solver.solve(self._problem(task, linear, roughness))
+            except (SolverError, RuntimeError, np.linalg.LinAlgError):  # CasADi raises RuntimeError
+                self.statistics.n_solver_failures += 1
+            else:
+                found.append(change.reshape(task.plan.shape))
+        return found
 
     def _choose(self, task: _Task, plans: np.ndarray, costs: np.ndarray) -> int | None:
         """Replace the task's plan by the best of ``plans`` that is allowed to; its index.
@@ -217,10 +235,10 @@ class Smoother:
         return self.cost(observation, found, plans, observation["desired_goal"])
 
     def _merit(self, plans: np.ndarray, costs: np.ndarray, executed: np.ndarray) -> np.ndarray:
-        """What the problem minimises, with the true objective in place of the model's."""
-        return self.config.distance * costs + self._roughness(plans, executed)
+        """What the problem minimises, with the true objective in place of the model's, and the weight of choice."""
+        return self.config.distance * costs + self.config.choice * self._roughness(plans, executed)
 
-    def _problem(self, task: _Task, linear: Linearisation) -> Problem:
+    def _problem(self, task: _Task, linear: Linearisation, roughness: Roughness) -> Problem:
         observations, sensitivities = linear.nominal.observations[0], linear.sensitivities
         actions, goal = task.plan, task.observation["desired_goal"]
         n_readings, n_unknowns = len(self._read), actions.size
@@ -233,7 +251,7 @@ class Smoother:
             slopes.append(np.eye(n_unknowns).reshape(*actions.shape, n_unknowns)[self._read])
         points.append(np.broadcast_to(goal, (n_readings, len(goal))))
         slopes.append(np.zeros((n_readings, len(goal), n_unknowns)))
-        matrix, gradient, _ = self._roughness.quadratic(actions, task.executed)
+        matrix, gradient, _ = roughness.quadratic(actions, task.executed)
         lower, upper = np.maximum(-1.0 - actions, -self.trust), np.minimum(1.0 - actions, self.trust)
         return Problem(
             matrix, gradient, np.concatenate(points, 1).astype(float), np.concatenate(slopes, 1), self._weights,

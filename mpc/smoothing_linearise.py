@@ -25,28 +25,28 @@ class Linearisation:
 def linearise(
     engine: RolloutEngine, state: np.ndarray, actions: np.ndarray, n_simulated: int, step: float = 0.1
 ) -> Linearisation:
-    """Roll out the plan ``actions`` ``(H, A)`` and, in the same batch, copies with one number changed each.
+    """Roll out the plan ``actions`` ``(H, A)`` and, from each of its states on, copies with one number changed each.
 
     Forward differences. A ``step`` as large as the changes that will be asked for is meant: in contact it averages
     over the kinks that a small one falls into, and in free space the map is close to linear anyhow. It points away
     from the nearer action bound, because actions are clipped there.
     """
     horizon, n_actions = actions.shape
+    nominal, states = engine.trace(state, actions[:n_simulated])
+    sensitivities = np.zeros((n_simulated, nominal.observations.shape[-1], horizon * n_actions))
     signed = np.where(actions > 0.0, -step, step).astype(actions.dtype)
-    changed = np.repeat(actions[None], n_simulated * n_actions, axis=0)
-    index = np.arange(len(changed))
-    time, which = index // n_actions, index % n_actions
-    changed[index, time, which] += signed[time, which]
-    # What moves nothing (Fetch's blocked gripper) needs no simulation.
     control = engine.dynamics.control
-    moves = (control(changed) != control(actions[None])).any((1, 2)) if n_simulated else np.zeros(0, bool)
-    batch = np.concatenate([actions[None], changed[moves]])
-    found = engine.rollout(state, batch[:, :n_simulated])
-    nominal = Trajectories(found.observations[:1], found.achieved_goals[:1], found.diverged[:1])
-    done = (batch[1:] - actions)[np.arange(moves.sum()), time[moves], which[moves]].astype(float)
-    sensitivities = np.zeros((n_simulated, found.observations.shape[-1], horizon * n_actions))
-    slopes = (found.observations[1:] - found.observations[:1]) / done[:, None, None]
-    sensitivities[:, :, index[moves]] = slopes.transpose(1, 2, 0)
-    if found.diverged[1:].any():
-        sensitivities[:] = np.nan  # no linear model; whoever solves with it checks
+    for t in range(n_simulated):  # what an action does not change, the steps before it, is not simulated again
+        rest = actions[t:n_simulated]
+        changed = np.repeat(rest[None], n_actions, axis=0)
+        changed[:, 0] += np.diag(signed[t])
+        # What moves nothing (Fetch's blocked gripper) needs no simulation either.
+        moving = np.flatnonzero((control(changed) != control(rest[None])).any((1, 2)))
+        found = engine.rollout(states[t], changed[moving])
+        done = (changed[moving, 0, moving] - rest[0, moving]).astype(float)
+        slopes = (found.observations - nominal.observations[:, t:]) / done[:, None, None]
+        sensitivities[t:, :, t * n_actions + moving] = slopes.transpose(1, 2, 0)
+        if found.diverged.any():
+            sensitivities[:] = np.nan  # no linear model; whoever solves with it checks
+            break
     return Linearisation(nominal, sensitivities)

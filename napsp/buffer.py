@@ -31,6 +31,9 @@ class Episodes:
         return Episodes(*(getattr(self, name)[part] for name in FIELDS))
 
 
+SparseReward = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Maps achieved goals ``(n, G)`` and goals ``(n, G)`` to rewards ``(n,)``: 0 where reached, else -1."""
+
 FIELDS = ("observations", "achieved_goals", "actions", "desired_goals")
 
 
@@ -102,20 +105,45 @@ class EpisodeBuffer:
         return Episodes(**{name: self._arrays[name][start : self._size] for name in FIELDS})
 
 
-def sample_pairs(episodes: Episodes, n: int, rng: np.random.Generator) -> Pairs:
-    """Draw n pairs i < j, uniform over episodes and over the pairs of an episode."""
+def sample_pairs(
+    episodes: Episodes, n: int, rng: np.random.Generator, sparse_reward: SparseReward | None = None
+) -> Pairs:
+    """Draw n pairs i < j, uniform over episodes and over the pairs of an episode.
+
+    With ``sparse_reward`` the steps between them end where it first finds the goal phi(s_j) reached.
+    """
     horizon = episodes.actions.shape[1]
     episode = rng.integers(len(episodes), size=n)
     first = rng.integers(horizon + 1, size=n)
     second = rng.integers(horizon, size=n)
     second += second >= first  # a uniform ordered pair without equal indices
     i, j = np.minimum(first, second), np.maximum(first, second)
+    goals = episodes.achieved_goals[episode, j]
+    arrival = j if sparse_reward is None else _first_arrivals(episodes, episode, i, j, goals, sparse_reward)
     return Pairs(
         observations=episodes.observations[episode, i],
         actions=episodes.actions[episode, i],
-        goals=episodes.achieved_goals[episode, j],
-        steps_between=(j - i).astype(np.float32),
+        goals=goals,
+        steps_between=(arrival - i).astype(np.float32),
     )
+
+
+def _first_arrivals(
+    episodes: Episodes,
+    episode: np.ndarray,
+    i: np.ndarray,
+    j: np.ndarray,
+    goals: np.ndarray,
+    sparse_reward: SparseReward,
+) -> np.ndarray:
+    """The first step ``(n,)`` after i, and at most j, at which the goal is reached."""
+    arrival, open_ = i.copy(), np.arange(len(i))
+    while len(open_):
+        arrival[open_] += 1
+        achieved = episodes.achieved_goals[episode[open_], arrival[open_]]
+        missed = sparse_reward(achieved, goals[open_]) < 0
+        open_ = open_[missed & (arrival[open_] < j[open_])]
+    return arrival
 
 
 def sample_triples(recent: Episodes, everything: Episodes, n: int, rng: np.random.Generator) -> Triples:
@@ -138,7 +166,7 @@ def sample_relabelled(
     n: int,
     relabel_ratio: float,
     other_goals_ratio: float,
-    sparse_reward: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    sparse_reward: SparseReward,
     rng: np.random.Generator,
 ) -> Transitions:
     """Draw n transitions; HER replaces the goal of a share of them.

@@ -66,6 +66,9 @@ class TrainConfig:
     slow_distance: bool = False
     """Reward the policy with the target network, and save that one. With a small target_polyak it
     averages out what the last iteration's few episodes did to d."""
+    first_arrival: bool = False
+    """Label a pair with the steps to the first state that reaches its goal, not with j - i, which counts
+    waiting at a goal as distance to it."""
 
     # -- uncertainty, eq. 2 --
     uncertainty_scale: float = 10.0
@@ -191,6 +194,7 @@ ADDED = {
     "held_starts": 0.0,
     "clipped_double_q": False,
     "slow_distance": False,
+    "first_arrival": False,
 }
 MANY, TINY = 10**9, 1e-12
 RANGES: dict[str, tuple[float, float]] = {

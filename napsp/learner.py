@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from napsp.agent import Agent, PolicyBatch
-from napsp.buffer import EpisodeBuffer, Episodes, concatenate, sample_pairs, sample_relabelled, sample_triples
+from napsp.buffer import (
+    EpisodeBuffer,
+    Episodes,
+    SparseReward,
+    concatenate,
+    sample_pairs,
+    sample_relabelled,
+    sample_triples,
+)
 from napsp.config import TrainConfig
 from napsp.counts import CountModel, uncertainty
 from napsp.ddpg import DDPG
@@ -21,7 +27,6 @@ from napsp.scaling import Scaling
 
 AGENTS: dict[str, type[SAC] | type[DDPG]] = {"sac": SAC, "ddpg": DDPG}
 Metrics = dict[str, float]
-SparseReward = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Learner:
@@ -92,7 +97,8 @@ class Learner:
         if config.method == "ddl":
             older = max(0, config.ddl_window - len(recent))
             episodes = concatenate([self.buffer.episodes(older), recent]) if older else recent
-        pairs = sample_pairs(episodes, config.n_temporal_updates * size, self.rng)
+        arrival = self._sparse_reward if config.first_arrival else None
+        pairs = sample_pairs(episodes, config.n_temporal_updates * size, self.rng, arrival)
         inputs = self.regression.inputs(pairs.observations, pairs.actions, pairs.goals)
         labels = torch.from_numpy(pairs.steps_between)
         if config.method != "ddl":

@@ -29,6 +29,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "temperature": (1e-9, 1e9),
     **dict.fromkeys(("smooth_rate", "smooth_jerk", "smooth_distance"), (0, 1e6)),
     "smooth_effort": (1e-6, 1e6),
+    "smooth_choice": (0, 1e6),
     "smooth_step": (1e-4, 0.5),
     "smooth_trust": (0.05, 1),
     "smooth_rounds": (1, 100),
@@ -115,6 +116,11 @@ class PlanOptions:
     """Weight of squared actions."""
     smooth_distance: float = 1.0
     """Weight of the learned distance."""
+    smooth_multiples: tuple[float, ...] | None = None
+    """Solve with changes weighed so many times as heavily, and verify all answers together; default by task
+    (0.3, 1, 3 and 10; 1 for the mazes, where four solutions would take longer than the search)."""
+    smooth_choice: float = 10.0
+    """Weight of smoothness, against the planner's own cost, in the choice among verified answers."""
     smooth_along: bool = True
     """Read the distance at the states where the planner's cost reads it (--where); otherwise at the end only."""
     smooth_trust: float = 0.3
@@ -145,6 +151,8 @@ class PlanOptions:
         asked |= {"env": canonical_name(self.env), "horizon": self.steps_ahead}
         if self.ensemble:
             asked["ensemble"] = len(self.ensemble)  # paths do not count, as with the checkpoint
+        if self.smooth:
+            asked["smooth_multiples"] = self.roughness_multiples
         if self.planning_model == "coarse":
             asked["planning_substeps"] = self.planning_substeps or PLANNING_SUBSTEPS.get(canonical_name(self.env))
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
@@ -153,6 +161,11 @@ class PlanOptions:
     def steps_ahead(self) -> int:
         """H, control steps per plan."""
         return self.horizon or HORIZONS.get(canonical_name(self.env), DEFAULT_HORIZON)
+
+    @property
+    def roughness_multiples(self) -> tuple[float, ...]:
+        """What smoothing multiplies the weights of changes with, one problem each."""
+        return self.smooth_multiples or MULTIPLES.get(canonical_name(self.env), DEFAULT_MULTIPLES)
 
     def coarse_substeps(self, own: int) -> int:
         """Physics steps per control step of the coarse model of a task that runs ``own``."""
@@ -170,6 +183,8 @@ class PlanOptions:
             raise UserError(f"--elites exceeds the {self.samples} samples; use fewer elites or more samples")
         if self.smooth and self.cost != "distance":
             raise UserError(f"--smooth needs --cost distance: it minimises the learned distance, not {self.cost}")
+        if not all(0 < multiple <= 1e6 for multiple in self.smooth_multiples or (1.0,)):  # false for NaN as well
+            raise UserError(f"--smooth-multiples is {self.smooth_multiples}; all must be positive and at most 1e+06")
         if self.smooth and self.low_pass:
             raise UserError("--smooth and --low-pass exclude each other; use one of them")
         if self.cost != "distance" and (self.pessimism or self.ensemble):
@@ -254,6 +269,10 @@ class SmoothOptions(PlanOptions):
     """The plan, and the policy's rollout."""
     smooth: bool = True
     """Smoothing is what this command does."""
+    smooth_multiples: tuple[float, ...] | None = (1.0,)
+    """Solve with changes weighed so many times as heavily, and verify all answers together."""
+    smooth_choice: float = 1.0
+    """As for the other planners; here it is the problem's own weight."""
     smooth_rounds: int = 3
     """Linearise, solve and verify so many times per plan."""
     smooth_accept: Literal["smoother", "better"] = "better"
@@ -275,6 +294,8 @@ HORIZONS = {
     "claw": 10,
 }
 DEFAULT_HORIZON = 8  # of tasks without an entry
+MULTIPLES: dict[str, tuple[float, ...]] = dict.fromkeys(("point_maze", "point_maze_long"), (1.0,))
+DEFAULT_MULTIPLES = (0.3, 1.0, 3.0, 10.0)
 PLANNING_SUBSTEPS = {  # of the coarse model; other tasks: a quarter of their own
     **dict.fromkeys(("point_maze", "point_maze_long"), 5),
     **dict.fromkeys((name for name in HORIZONS if name.startswith("fetch")), 5),

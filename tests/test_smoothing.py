@@ -1,5 +1,6 @@
 """The smoothing layer: true sensitivities, the optimum, and never a worse plan."""
 
+import dataclasses
 import subprocess
 import sys
 
@@ -140,6 +141,29 @@ def test_a_last_plan_that_costs_no_more_is_kept(worlds):
         assert action_rate(result.actions) < 0.2 * action_rate(shaken)
     smoother.reset()
     assert smoother._last is None
+    smoother.engine.close()
+
+
+def test_plans_handed_back_are_counted_and_say_nothing_about_the_linear_model(worlds):
+    world, observation, smoother = maze(worlds)
+    state, executed = get_state(world.model, world.data), np.zeros((2, 2), np.float32)
+    observation["desired_goal"] = observation["achieved_goal"].copy()
+    still = np.zeros((8, 2), np.float32)
+    for n_calls in (1, 2, 3):  # nothing can be smoother than standing still; it is not the layer's plan either
+        assert not smoother(state, observation, still, executed).accepted
+        assert smoother.statistics.n_kept == 0 and smoother.statistics.n_calls == n_calls
+    assert smoother.trust == smoother.config.trust
+    shaken = (0.05 * np.random.default_rng(0).standard_normal((8, 2))).astype(np.float32)
+    result = smoother(state, observation, shaken, executed)
+    assert result.accepted
+    handed_back = np.concatenate([result.actions[1:], result.actions[-1:]])
+    again = smoother(state, observation, handed_back, executed)
+    assert smoother.statistics.n_kept == (not again.accepted)
+    smoother.config = dataclasses.replace(smoother.config, rounds=0)  # the layer changes nothing any more
+    handed_back = np.concatenate([again.actions[1:], again.actions[-1:]])
+    n_kept = smoother.statistics.n_kept
+    assert not smoother(state, observation, handed_back, executed).accepted
+    assert smoother.statistics.n_kept == n_kept + 1
     smoother.engine.close()
 
 
