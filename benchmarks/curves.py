@@ -22,7 +22,18 @@ from napsp.errors import run_command
 from napsp.record import save_figure
 from napsp.statistics import interquartile_mean
 
-COLORS = dict(zip(METHODS, ("tab:gray", "tab:orange", "tab:blue", "tab:red"), strict=True))
+NAMED: dict[str, dict[str, Any]] = {"ours, first arrival": {"method": "ours", "first_arrival": True}}
+"""Named options that go beyond the paper's method; shown where they were run."""
+LINES: dict[str, dict[str, Any]] = {**{method: {"method": method} for method in METHODS}, **NAMED}
+COLORS = dict(zip(LINES, ("tab:gray", "tab:orange", "tab:blue", "tab:red", "tab:purple"), strict=True))
+
+
+def line_of(env: str, config_hash: str, n_episodes: int) -> str | None:
+    """The method or named option whose preset of so many training episodes has this hash; None for other settings."""
+    hashes = {preset(env, **options, n_episodes=n_episodes).hash(): name for name, options in LINES.items()}
+    return hashes.get(config_hash)
+
+
 TITLES = {
     "success_rate": "success (last step)",
     "any_success_rate": "success (some step)",
@@ -33,15 +44,15 @@ TITLES = {
 
 
 def current_runs(env: str) -> dict[str, list[dict[str, Any]]]:
-    """Published runs of a task by method; only those of today's presets, of each seed the longest."""
+    """Published runs of a task by method or named option; only those of today's presets, of each seed the longest."""
     longest: dict[tuple[str, int], dict[str, Any]] = {}
     for run in sorted(learning_curves(env), key=lambda run: run["config"]["n_episodes"]):
-        method, n_episodes = run["config"]["method"], run["config"]["n_episodes"]
-        if run["config_hash"] == preset(env, method=method, n_episodes=n_episodes).hash():
-            longest[method, run["seed"]] = run
+        name = line_of(env, run["config_hash"], run["config"]["n_episodes"])
+        if name is not None:
+            longest[name, run["seed"]] = run
     runs: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for (method, _), run in sorted(longest.items()):
-        runs[method].append(run)
+    for (name, _), run in sorted(longest.items()):
+        runs[name].append(run)
     return runs
 
 
@@ -60,7 +71,7 @@ def over_seeds(runs: list[dict[str, Any]], column: str) -> tuple[np.ndarray, np.
 
 def draw(axis: Any, runs: dict[str, list[dict[str, Any]]], column: str) -> None:
     """One panel: every method's curve."""
-    for method in METHODS:
+    for method in LINES:
         if runs.get(method):
             episodes, means, ends = over_seeds(runs[method], column)
             if len(episodes):

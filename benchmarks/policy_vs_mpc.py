@@ -18,6 +18,7 @@ import torch
 import tyro
 
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from benchmarks.curves import line_of
 from mpc.motion import action_rate
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
@@ -53,6 +54,8 @@ class VersusOptions:
     """Training seed of the checkpoint, which is trained first if it does not exist."""
     training_episodes: int | None = None
     """Training episodes of the checkpoint; default the task's preset."""
+    first_arrival: bool = False
+    """Train the checkpoint with labels of first arrival, see napsp.train."""
     progress: tuple[int, ...] = ()
     """Also checkpoints of runs that stop after these many training episodes."""
     episodes: int = 50
@@ -113,8 +116,9 @@ def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
     """Configuration, planner ("policy" for none), budget, proposals."""
     env_name, found = tasks.canonical_name(options.env), []
     length: dict[str, Any] = {"n_episodes": options.training_episodes} if options.training_episodes else {}
-    configs = [preset(env_name, seed=options.training_seed, **length)]
-    configs += [preset(env_name, seed=options.training_seed, n_episodes=n) for n in options.progress]
+    asked = {"seed": options.training_seed, "first_arrival": options.first_arrival}
+    configs = [preset(env_name, **asked, **length)]
+    configs += [preset(env_name, **asked, n_episodes=n) for n in options.progress]
     for config in configs:
         found.append((config, "policy", 0, False))
         for planner in options.planners:
@@ -155,7 +159,11 @@ def draw(env_name: str) -> Path | None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    rows = [row for row in read_results(FILE) if row["env"] == env_name]
+    rows = []
+    for row in (row for row in read_results(FILE) if row["env"] == env_name):
+        training = line_of(env_name, row["training_hash"], int(row["training_episodes"]))
+        if training is not None:  # else settings of another day
+            rows.append(row | {"training": training})
     panels = [x for x in ("budget", "training_episodes") if len({row[x] for row in rows} - {"0"}) > 1]
     if not panels:  # one budget and one checkpoint: the table says it all
         return None
@@ -165,10 +173,11 @@ def draw(env_name: str) -> Path | None:
         lines: dict[str, list[tuple[int, float]]] = {}
         for row in rows:
             name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
+            name += row["training"].removeprefix("ours")  # ", first arrival" or nothing
             if (int(row["training_episodes"]) == last) if x == "budget" else (row["budget"] in ("0", "64")):
                 lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
         for name, points in lines.items():
-            if name == "policy" and x == "budget":
+            if name.startswith("policy") and x == "budget":
                 axis.axhline(points[0][1], color="black", linestyle=":", label=name)
             else:
                 axis.plot(*zip(*sorted(points), strict=True), marker="o", markersize=3, label=name)
@@ -199,7 +208,8 @@ def main() -> int:
         interval = describe(float(row["success_rate"]), wilson_interval(successes.count("1"), n))
         mean, (low, high) = paired_difference(_bits(successes), _bits(policy[config.n_episodes]))
         name = f"{planner}{' + policy' if proposals else ''}"
-        print(f"{config.env} after {config.n_episodes} episodes  {name:30s} {budget:5d} plans  success {interval}  "
+        training = f"{config.n_episodes} episodes{', first arrival' if config.first_arrival else ''}"
+        print(f"{config.env} after {training}  {name:30s} {budget:5d} plans  success {interval}  "
               f"minus policy {mean:+.2f} [{low:+.2f}, {high:+.2f}]  {float(row['plan_ms_median']):.0f} ms",
               flush=True)  # fmt: skip
     picture = draw(tasks.canonical_name(options.env))

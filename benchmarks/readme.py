@@ -7,7 +7,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from benchmarks.cells import RESULTS, read_results
-from benchmarks.curves import current_runs
+from benchmarks.curves import LINES, NAMED, current_runs, line_of
 from benchmarks.sweep import PAPER_TASKS
 from napsp.checkpoint import write_atomically
 from napsp.config import METHODS, preset
@@ -82,14 +82,16 @@ def learning_table() -> list[str]:
         "",
         "Last evaluation of each training run, on goals that all methods and seeds share; interquartile mean over seeds with its",
         "95 % bootstrap interval (three seeds or more). *Success* is being at the goal in the last step, *maximum reward* the least",
-        "distance to the goal in an episode, negated.",
+        "distance to the goal in an episode, negated. *First arrival* is `--first-arrival`, an option that the paper does not have.",
         "",
         "| task | method | seeds | episodes | success | some-step success | maximum reward [m] | success 1.0 first at episode |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for env in PAPER_TASKS:
         runs = current_runs(env)
-        for method in METHODS:
+        for method, options in LINES.items():
+            if method in NAMED and not runs.get(method):
+                continue
             cells = ["not run", *[""] * 5]
             if runs.get(method):
                 last = [run["curve"][-1] for run in runs[method]]
@@ -98,7 +100,7 @@ def learning_table() -> list[str]:
                     for k in ("success_rate", "any_success_rate", "max_reward")
                 ]
                 first = [_first_full(run["curve"]) for run in runs[method]]
-                wanted = preset(env, method=method).n_episodes
+                wanted = preset(env, **options).n_episodes
                 done = min(int(row["episodes"]) for row in last)
                 length = str(done) if done >= wanted else f"{done} of {wanted}"
                 cells = [str(len(last)), length, *summaries, ", ".join(first)]
@@ -220,25 +222,25 @@ def smoothing_table() -> list[str]:
 
 def versus_table() -> list[str]:
     """The policy against planners with the same distance."""
-    rows = [
-        row
-        for row in read_results(RESULTS / "policy_vs_mpc.csv")
-        if row["training_hash"] == preset(row["env"], n_episodes=int(row["training_episodes"])).hash()
-    ]
+    rows = []
+    for row in read_results(RESULTS / "policy_vs_mpc.csv"):
+        training = line_of(row["env"], row["training_hash"], int(row["training_episodes"]))
+        if training is not None:
+            rows.append(row | {"training": training})
     lines = [
         "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
         "",
         "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements.",
         "",
-        "| task | training episodes | planner | policy's rollout among the samples | budget | success | steps to goal | action rate | ms per plan |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| task | training | episodes | planner | policy's rollout among the samples | budget | success | steps to goal | action rate | ms per plan |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         n, rate = int(row["episodes"]), float(row["success_rate"])
         policy = row["planner"] == "policy"
         steps = f"{float(row['mean_steps_to_goal']):.1f}" if row["mean_steps_to_goal"] else "-"
         lines.append(
-            f"| {row['env']} | {row['training_episodes']} | {row['planner']} "
+            f"| {row['env']} | {row['training']} | {row['training_episodes']} | {row['planner']} "
             f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
             f"| {describe(rate, wilson_interval(round(rate * n), n))} | {steps} "
             f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f} |"

@@ -18,7 +18,7 @@ from typing import Literal
 import torch
 import tyro
 
-from benchmarks.cells import BusyError, cell_name, published, trained
+from benchmarks.cells import ROWS, BusyError, cell_name, published, trained
 from napsp import envs as tasks
 from napsp.config import METHODS, TrainConfig, preset
 from napsp.errors import UserError, run_command
@@ -28,7 +28,7 @@ PAPER_TASKS = ("point_maze", "fetch_reach", "fetch_wall", "fetch_pick_place", "f
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """Train every cell of envs x methods x seeds that is not done yet."""
+    """Train every cell of envs x methods x seeds whose curve is not in results/runs yet."""
 
     envs: tuple[str, ...] = PAPER_TASKS
     """Tasks."""
@@ -38,6 +38,8 @@ class SweepOptions:
     """Training seeds 0 .. seeds - 1."""
     n_episodes: int | None = None
     """Training episodes of every cell; None takes each task's own."""
+    again: bool = False
+    """Also train cells whose curves are in results/runs already; those stay as they are there."""
     jobs: int = 1
     """Processes on this machine; one single-threaded process per core is fastest."""
     backend: Literal["local", "ray"] = "local"
@@ -57,7 +59,8 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
 def work(options: SweepOptions) -> None:
     """Train cell after cell, leaving out those that others work on."""
     for config in cells(options):
-        if published(config):
+        if published(config) and not options.again:
+            print(f"{cell_name(config)}: already in {ROWS}", flush=True)
             continue
         try:
             trained(config, wait=False)
@@ -91,7 +94,7 @@ def work_on_ray(options: SweepOptions) -> None:
 
     ray.init(ignore_reinit_error=True)  # the cluster of RAY_ADDRESS, or this machine
     remote = ray.remote(num_cpus=1)(task)
-    ray.get([remote.remote(config) for config in cells(options) if not published(config)])
+    ray.get([remote.remote(config) for config in cells(options) if options.again or not published(config)])
 
 
 def main() -> int:

@@ -107,7 +107,7 @@ class RolloutEngine:
             is_known = (actions == known.actions[:horizon]).all((1, 2))
             features[is_known], final_times[is_known] = known.features[:horizon], known.times[horizon - 1]
         samples = np.flatnonzero(~is_known)
-        if horizon:  # without: d(s, a, g) alone, nothing to simulate
+        if horizon and len(samples):  # without a horizon d(s, a, g) alone counts; mujoco.rollout crashes on no samples
             run = self._run_native if self.dynamics.open_loop else self._run_workers
             run(state, self.dynamics.control(actions), samples, features, final_times)
         diverged = self._diverged(state, features, final_times)
@@ -128,13 +128,14 @@ class RolloutEngine:
         return Followed(np.stack(actions), features, times)
 
     def trace(self, state: np.ndarray, actions: np.ndarray) -> tuple[Trajectories, np.ndarray]:
-        """Roll out one plan ``(H, A)``; also the full states ``(H, S)`` before each of its steps."""
+        """Roll out one plan ``(H, A)``; also the full states ``(H, S)`` before each step, as :meth:`rollout` takes them."""
         simulation, data, dynamics = self._simulations[0], self._datas[0], self.dynamics
         features, states = np.empty((1, len(actions), dynamics.n_features)), np.empty((len(actions), len(state)))
         controls = dynamics.control(actions)
         simulation.restore(_later(state))
         for step in range(len(actions)):
             states[step] = get_state(dynamics.model, data)
+            states[step, 0] -= 1.0  # the environment's clock again
             simulation.advance(controls[step : step + 1], features[0, step : step + 1])
         final_times = np.array([data.time]) if len(actions) else state[:1] + 1.0
         diverged = self._diverged(_later(state), features, final_times)

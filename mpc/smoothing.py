@@ -38,7 +38,8 @@ class SmoothingConfig:
     multiples: tuple[float, ...] = (1.0,)
     """Solve with rate and jerk weighed so many times as heavily; all answers are verified together."""
     choice: float = 1.0
-    """Weight of roughness, against the true cost, in the choice among verified answers."""
+    """Weight of roughness against the true cost in choosing plans: among verified answers, and between the plan so
+    far and what may replace it."""
     along: bool = True
     """Read d where the planner's cost reads it; otherwise at the end of the plan only."""
     trust: float = 0.3
@@ -195,8 +196,8 @@ class Smoother:
             plans = np.clip(plans, -1.0, 1.0).astype(task.plan.dtype)
             costs = self._true_costs(task.state, task.observation, plans)
             best = self._choose(task, plans, costs)
-        # As far as the linear model was right this time, it is trusted the next time; a plan that is refused because
-        # there was nothing to smooth says nothing about it.
+        # As large an answer as cost no more than the sampled plan this time is trusted the next time, whether it was
+        # taken or, because there was nothing to smooth, not.
         right = fractions[costs <= task.before + self.config.tolerance].max(initial=0.5)
         factor = 1.5 if best is not None and fractions[best] == 1.0 else right
         self.trust = float(np.clip(factor * self.trust, self.MIN_TRUST, self.MAX_TRUST))
@@ -283,6 +284,7 @@ class _Task:
     merit: float
     rate: float = np.inf
     kept: bool = False
+    """The search handed back the layer's last plan, moved on by a step."""
 
 
 @contextmanager

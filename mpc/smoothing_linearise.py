@@ -42,11 +42,13 @@ def linearise(
         changed[:, 0] += np.diag(signed[t])
         # What moves nothing (Fetch's blocked gripper) needs no simulation either.
         moving = np.flatnonzero((control(changed) != control(rest[None])).any((1, 2)))
+        if not len(moving):
+            continue
         found = engine.rollout(states[t], changed[moving])
         done = (changed[moving, 0, moving] - rest[0, moving]).astype(float)
         slopes = (found.observations - nominal.observations[:, t:]) / done[:, None, None]
         sensitivities[t:, :, t * n_actions + moving] = slopes.transpose(1, 2, 0)
-        if found.diverged.any():
+        if nominal.diverged.any() or found.diverged.any():
             sensitivities[:] = np.nan  # no linear model; whoever solves with it checks
             break
     return Linearisation(nominal, sensitivities)

@@ -67,8 +67,8 @@ class TrainConfig:
     """Reward the policy with the target network, and save that one. With a small target_polyak it
     averages out what the last iteration's few episodes did to d."""
     first_arrival: bool = False
-    """Label a pair with the steps to the first state that reaches its goal, not with j - i, which counts
-    waiting at a goal as distance to it."""
+    """Label a pair with the steps to the first state after s_i that the task counts as being at its goal,
+    not with j - i, which takes waiting at a goal for distance to it. Beyond the paper; not for sparse."""
 
     # -- uncertainty, eq. 2 --
     uncertainty_scale: float = 10.0

@@ -89,6 +89,7 @@ class Learner:
     def train_temporal(self, recent: Episodes) -> Metrics:
         """Algorithm 1, lines 5-8: fit d to min[j - i, d_old + U] on pairs of D (eq. 4a).
 
+        With ``first_arrival`` the steps to the first state at the goal stand for j - i.
         ``ddl`` fits d to j - i on its most recent episodes only, D_last included (on-policy).
         """
         config, episodes, size = self.config, self.buffer.episodes(), self.config.batch_size

@@ -29,7 +29,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "temperature": (1e-9, 1e9),
     **dict.fromkeys(("smooth_rate", "smooth_jerk", "smooth_distance"), (0, 1e6)),
     "smooth_effort": (1e-6, 1e6),
-    "smooth_choice": (0, 1e6),
+    "smooth_choice": (1e-6, 1e6),
     "smooth_step": (1e-4, 0.5),
     "smooth_trust": (0.05, 1),
     "smooth_rounds": (1, 100),
@@ -120,7 +120,8 @@ class PlanOptions:
     """Solve with changes weighed so many times as heavily, and verify all answers together; default by task
     (0.3, 1, 3 and 10; 1 for the mazes, where four solutions would take longer than the search)."""
     smooth_choice: float = 10.0
-    """Weight of smoothness, against the planner's own cost, in the choice among verified answers."""
+    """Weight of smoothness against the planner's own cost in choosing between plans that cost no more than the
+    sampled one; the smaller, the rarer a plan is replaced."""
     smooth_along: bool = True
     """Read the distance at the states where the planner's cost reads it (--where); otherwise at the end only."""
     smooth_trust: float = 0.3
@@ -130,8 +131,8 @@ class PlanOptions:
     smooth_tolerance: float = 0.0
     """Smoothing may raise the planner's cost by so many steps."""
     smooth_accept: Literal["smoother", "better"] = "smoother"
-    """What a smoothed plan needs besides a cost that did not rise: a lower action rate, or a lower sum of cost
-    and roughness."""
+    """What a smoothed plan needs besides a cost that did not rise and a lower sum of cost and --smooth-choice times
+    roughness: a lower action rate as well, or nothing more."""
     smooth_step: float = 0.1
     """Change of an action for the finite differences that linearise the simulator."""
     smooth_solver: Literal["qp", "ipopt"] = "qp"
@@ -165,7 +166,9 @@ class PlanOptions:
     @property
     def roughness_multiples(self) -> tuple[float, ...]:
         """What smoothing multiplies the weights of changes with, one problem each."""
-        return self.smooth_multiples or MULTIPLES.get(canonical_name(self.env), DEFAULT_MULTIPLES)
+        if self.smooth_multiples is not None:
+            return self.smooth_multiples
+        return MULTIPLES.get(canonical_name(self.env), DEFAULT_MULTIPLES)
 
     def coarse_substeps(self, own: int) -> int:
         """Physics steps per control step of the coarse model of a task that runs ``own``."""
@@ -183,8 +186,9 @@ class PlanOptions:
             raise UserError(f"--elites exceeds the {self.samples} samples; use fewer elites or more samples")
         if self.smooth and self.cost != "distance":
             raise UserError(f"--smooth needs --cost distance: it minimises the learned distance, not {self.cost}")
-        if not all(0 < multiple <= 1e6 for multiple in self.smooth_multiples or (1.0,)):  # false for NaN as well
-            raise UserError(f"--smooth-multiples is {self.smooth_multiples}; all must be positive and at most 1e+06")
+        multiples = self.roughness_multiples
+        if not multiples or not all(0 < multiple <= 1e6 for multiple in multiples):  # false for NaN as well
+            raise UserError(f"--smooth-multiples is {multiples}; give one or more positive numbers of at most 1e+06")
         if self.smooth and self.low_pass:
             raise UserError("--smooth and --low-pass exclude each other; use one of them")
         if self.cost != "distance" and (self.pessimism or self.ensemble):
@@ -272,7 +276,7 @@ class SmoothOptions(PlanOptions):
     smooth_multiples: tuple[float, ...] | None = (1.0,)
     """Solve with changes weighed so many times as heavily, and verify all answers together."""
     smooth_choice: float = 1.0
-    """As for the other planners; here it is the problem's own weight."""
+    """Weight of smoothness against the planner's own cost in choosing between plans; 1 is the problem's own."""
     smooth_rounds: int = 3
     """Linearise, solve and verify so many times per plan."""
     smooth_accept: Literal["smoother", "better"] = "better"

@@ -194,6 +194,7 @@ class Session:
         config = {k: str(v) if hasattr(v, "__fspath__") else v for k, v in asdict(self.options).items()}
         config |= {"env": self.env_name, "horizon": self.horizon, "ensemble": [str(p) for p in self.options.ensemble]}
         config["planning_substeps"] = self.substeps[1]
+        config["smooth_multiples"] = self.options.roughness_multiples
         return {
             "env": self.env_name,
             "planner": self.planner,

@@ -35,6 +35,23 @@ def test_pairs_are_later_in_the_same_episode_and_uniform():
     assert (pairs.steps_between == 1).mean() == pytest.approx(6 / 21, abs=0.01)
 
 
+def test_first_arrival_does_not_count_waiting_at_the_goal():
+    # Two steps to the goal's region, then waiting in it: x = 0, 1, 2, 2, 2, 2, 2.
+    rows = np.minimum(np.arange(7.0), 2.0)[None, :, None].astype(np.float32).repeat(3, axis=0)
+    episodes = Episodes(rows, rows.copy(), np.zeros((3, 6, 1), np.float32), rows[:, -1])
+
+    def reward(achieved, goals):
+        return -(np.abs(achieved - goals)[:, 0] > 0.5).astype(np.float32)
+
+    pairs = sample_pairs(episodes, 5_000, np.random.default_rng(0), reward)
+    start, goal = pairs.observations[:, 0], pairs.goals[:, 0]
+    truth = np.maximum(goal - start, 1.0)  # one action is the least: d(s, a, g) counts it
+    np.testing.assert_array_equal(pairs.steps_between, truth)
+    usual = sample_pairs(episodes, 5_000, np.random.default_rng(0))
+    np.testing.assert_array_equal(usual.goals, pairs.goals)  # the same pairs, other labels
+    assert usual.steps_between.max() == 6 and (pairs.steps_between <= usual.steps_between).all()
+
+
 def test_triples_take_start_and_goal_from_one_recent_episode():
     everything, recent = chain_episodes(5), chain_episodes(2)
     triples = sample_triples(recent, everything, 5_000, np.random.default_rng(0))
