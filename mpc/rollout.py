@@ -128,7 +128,7 @@ class RolloutEngine:
         return Followed(np.stack(actions), features, times)
 
     def trace(self, state: np.ndarray, actions: np.ndarray) -> tuple[Trajectories, np.ndarray]:
-        """Roll out one plan ``(H, A)``; also the full states ``(H, S)`` before each step, as :meth:`rollout` takes them."""
+        """Roll out one plan ``(H, A)``; also the full states ``(H, S)`` before each step, fit for :meth:`rollout`."""
         simulation, data, dynamics = self._simulations[0], self._datas[0], self.dynamics
         features, states = np.empty((1, len(actions), dynamics.n_features)), np.empty((len(actions), len(state)))
         controls = dynamics.control(actions)

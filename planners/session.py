@@ -254,8 +254,8 @@ def _smoother(
     from mpc import smoothing  # imports casadi, which nobody else needs
 
     names = [field.name for field in fields(smoothing.SmoothingConfig)]
-    values = {name: getattr(options, f"smooth_{name}") for name in names}
-    config = smoothing.SmoothingConfig(**values | {"multiples": options.roughness_multiples})
+    values: dict[str, Any] = {name: getattr(options, f"smooth_{name}") for name in names}
+    config = smoothing.SmoothingConfig(**{**values, "multiples": options.roughness_multiples})
     return smoothing.Smoother(engine, cost, model, horizon, n_actions, config)
 
 
