@@ -118,12 +118,14 @@ def save_model(
 
 
 def load_model(path: str | Path, env: str) -> Model:
-    """Read a model trained on ``env``; ``path`` is the file or its folder.
+    """Read a model trained on ``env``; ``path`` is the file, its folder, or the name of one that ships.
 
     Raises:
         UserError: damaged or foreign file, or a model of another environment.
     """
     path = Path(path)
+    if not path.exists() and (SHIPPED / path.name / MODEL_FILE).is_file() and path == Path(path.name):
+        path = SHIPPED / path.name
     if path.is_dir():
         path = path / MODEL_FILE
     tensors, header = read_tensors(path, "model")

@@ -25,7 +25,8 @@ class EvaluateOptions:
     env: str = "fetch_wall"
     """Task."""
     checkpoint: Path | None = None
-    """A file or folder written by napsp.train; default: the one that ships with the package."""
+    """A file or folder written by napsp.train, or the name of one that ships, such as
+    fetch_pick_place_first_arrival; default: the one that ships for the task."""
     episodes: int = 50
     """Episodes, on the seeds seed, seed + 1, ..."""
     seed: int = 0

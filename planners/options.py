@@ -79,7 +79,8 @@ class PlanOptions:
     """With the learned distance: let the rollout of the policy that was trained with it join
     the samples, which keeps the search near states that d has seen. Other costs go without."""
     checkpoint: Path | None = None
-    """A file or folder written by napsp.train; default: the one that ships with the package.
+    """A file or folder written by napsp.train, or the name of one that ships, such as
+    fetch_pick_place_first_arrival; default: the one that ships for the task.
     A cost that needs no distance needs no checkpoint."""
     pessimism: float = 0.0
     """With the learned distance: plan with d + pessimism * U, where U = C / (1 + N(s, a))^M of eq. 2, in steps, is

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, shipped_model, write_tensors
+from napsp.errors import UserError
 from napsp.statistics import wilson_interval
 from planners.cli import run
+from planners.options import MPPIOptions
 
 ROOT = Path(__file__).parent.parent
 SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")
@@ -196,6 +198,26 @@ def test_shipped_checkpoints_tell_where_they_come_from(env):
         rows = list(csv.DictReader(file))
     assert float(rows[-1]["episodes"]) == model.header["episodes"]
     assert (folder / "training_curve.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_shipped_checkpoint_has_a_name(tmp_path, monkeypatch):
+    named = load_model("fetch_pick_place_first_arrival", "fetch_pick_place")
+    assert named.config.first_arrival
+    assert not load_model("fetch_pick_place", "fetch_pick_place").config.first_arrival
+    monkeypatch.chdir(tmp_path)  # a file or folder of the user's own comes first
+    Path("fetch_pick_place_first_arrival").mkdir()
+    with pytest.raises(UserError, match="no checkpoint at"):
+        load_model("fetch_pick_place_first_arrival", "fetch_pick_place")
+
+
+def test_smoothing_weights_are_checked_and_hashed_as_they_are_used():
+    assert MPPIOptions(smooth=True).hash() == MPPIOptions(smooth=True, smooth_multiples=(0.3, 1.0, 3.0, 10.0)).hash()
+    assert MPPIOptions(smooth=True).hash() != MPPIOptions(smooth=True, smooth_multiples=(1.0,)).hash()
+    assert MPPIOptions().hash() == MPPIOptions(smooth_multiples=(1.0,)).hash()  # without smoothing it does nothing
+    assert MPPIOptions(env="point_maze", smooth=True).roughness_multiples == (1.0,)
+    for wrong in ((), (0.0,), (1.0, float("nan"))):
+        with pytest.raises(UserError, match="--smooth-multiples"):
+            MPPIOptions(smooth=True, smooth_multiples=wrong)
 
 
 def test_evaluate_runs_the_shipped_policy(tmp_path):
