@@ -64,6 +64,24 @@ def test_a_traced_plan_goes_on_from_any_of_its_states(worlds, env):
             assert not rest.diverged.any()
 
 
+@pytest.mark.parametrize("env", ["point_maze", "fetch_wall"])
+def test_linearisation_does_not_depend_on_the_number_of_cores(worlds, env):
+    world = worlds[env]
+    world.reset(seed=5)
+    state, size = get_state(world.model, world.data), world.action_space.shape[0]
+    actions = np.random.default_rng(3).uniform(-1, 1, (5, size)).astype(np.float32)
+    found = []
+    for n_threads in (1, 64):  # step by step, and all copies in one batch
+        with RolloutEngine(world.dynamics, n_threads, fork=False) as engine:
+            batches, rollout = [], engine.rollout
+            engine.rollout = lambda state, actions: (batches.append(len(actions)), rollout(state, actions))[1]  # noqa: B023
+            linear = linearise(engine, state, actions, 4)
+            assert len(batches) == (4 if n_threads == 1 else 1)
+            found.append((linear.sensitivities, linear.nominal.observations))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_of_several_weights_the_smoothest_answer_that_costs_no_more_is_taken(worlds):
     actions = np.random.default_rng(2).uniform(-1, 1, (8, 2)).astype(np.float32)
     executed, rates = np.zeros((2, 2), np.float32), {}
