@@ -164,18 +164,20 @@ def draw(env_name: str) -> Path | None:
         training = line_of(env_name, row["training_hash"], int(row["training_episodes"]))
         if training is not None:  # else settings of another day
             rows.append(row | {"training": training})
-    panels = [x for x in ("budget", "training_episodes") if len({row[x] for row in rows} - {"0"}) > 1]
-    if not panels:  # one budget and one checkpoint: the table says it all
-        return None
-    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3), layout="constrained")
-    last = max(int(row["training_episodes"]) for row in rows)
-    for axis, x in zip(np.atleast_1d(axes), panels, strict=True):
+    last, panels = max((int(row["training_episodes"]) for row in rows), default=0), {}
+    for x in ("budget", "training_episodes"):
         lines: dict[str, list[tuple[int, float]]] = {}
         for row in rows:
             name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
             name += row["training"].removeprefix("ours")  # ", first arrival" or nothing
             if (int(row["training_episodes"]) == last) if x == "budget" else (row["budget"] in ("0", "64")):
                 lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
+        if any(len(points) > 1 for points in lines.values()):
+            panels[x] = lines
+    if not panels:  # one budget and one checkpoint each: the table says it all
+        return None
+    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3), layout="constrained")
+    for axis, (x, lines) in zip(np.atleast_1d(axes), panels.items(), strict=True):
         for name, points in lines.items():
             if name.startswith("policy") and x == "budget":
                 axis.axhline(points[0][1], color="black", linestyle=":", label=name)

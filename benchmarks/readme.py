@@ -245,6 +245,8 @@ def versus_table() -> list[str]:
             f"| {describe(rate, wilson_interval(round(rate * n), n))} | {steps} "
             f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f} |"
         )
+    for path in sorted(RESULTS.glob("policy_vs_mpc_*.png")):
+        lines += ["", f"![Success of policy and planners on {path.stem.removeprefix('policy_vs_mpc_')}]({path})"]
     return lines if rows else []
 
 
