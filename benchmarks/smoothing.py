@@ -130,6 +130,9 @@ def draw_frontier(path: Path, rows: Sequence[Any]) -> None:
     panels: dict[tuple[str, ...], list[Any]] = {}
     for row in rows:
         panels.setdefault((row["env"], row["planner"], row["proposals"]), []).append(row)
+    panels = {name: cells for name, cells in panels.items() if len(cells) > 1}
+    if not panels:
+        return
     figure, axes = plt.subplots(1, len(panels), figsize=(3.6 * len(panels), 3.2), layout="constrained")
     for axis, ((env, planner, proposals), cells) in zip(np.atleast_1d(axes), panels.items(), strict=True):
         for row in cells:

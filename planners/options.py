@@ -120,9 +120,9 @@ class PlanOptions:
     smooth_multiples: tuple[float, ...] | None = None
     """Solve with changes weighed so many times as heavily, and verify all answers together; default by task
     (0.3, 1, 3 and 10; 1 for the mazes, where four solutions would take longer than the search)."""
-    smooth_choice: float = 10.0
+    smooth_choice: float | None = None
     """Weight of smoothness against the planner's own cost in choosing between plans that cost no more than the
-    sampled one; the smaller, the rarer a plan is replaced."""
+    sampled one; the smaller, the rarer a plan is replaced. Default 10 with several --smooth-multiples, else 1."""
     smooth_along: bool = True
     """Read the distance at the states where the planner's cost reads it (--where); otherwise at the end only."""
     smooth_trust: float = 0.3
@@ -154,7 +154,7 @@ class PlanOptions:
         if self.ensemble:
             asked["ensemble"] = len(self.ensemble)  # paths do not count, as with the checkpoint
         if self.smooth:
-            asked["smooth_multiples"] = self.roughness_multiples
+            asked |= {"smooth_multiples": self.roughness_multiples, "smooth_choice": self.roughness_choice}
         if self.planning_model == "coarse":
             asked["planning_substeps"] = self.planning_substeps or PLANNING_SUBSTEPS.get(canonical_name(self.env))
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
@@ -170,6 +170,13 @@ class PlanOptions:
         if self.smooth_multiples is not None:
             return self.smooth_multiples
         return MULTIPLES.get(canonical_name(self.env), DEFAULT_MULTIPLES)
+
+    @property
+    def roughness_choice(self) -> float:
+        """What smoothing multiplies roughness with when it chooses between plans."""
+        if self.smooth_choice is not None:
+            return self.smooth_choice
+        return 10.0 if len(self.roughness_multiples) > 1 else 1.0
 
     def coarse_substeps(self, own: int) -> int:
         """Physics steps per control step of the coarse model of a task that runs ``own``."""
@@ -276,7 +283,7 @@ class SmoothOptions(PlanOptions):
     """Smoothing is what this command does."""
     smooth_multiples: tuple[float, ...] | None = (1.0,)
     """Solve with changes weighed so many times as heavily, and verify all answers together."""
-    smooth_choice: float = 1.0
+    smooth_choice: float | None = 1.0
     """Weight of smoothness against the planner's own cost in choosing between plans; 1 is the problem's own."""
     smooth_rounds: int = 3
     """Linearise, solve and verify so many times per plan."""

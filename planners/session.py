@@ -195,6 +195,7 @@ class Session:
         config |= {"env": self.env_name, "horizon": self.horizon, "ensemble": [str(p) for p in self.options.ensemble]}
         config["planning_substeps"] = self.substeps[1]
         config["smooth_multiples"] = self.options.roughness_multiples
+        config["smooth_choice"] = self.options.roughness_choice
         return {
             "env": self.env_name,
             "planner": self.planner,
@@ -255,7 +256,9 @@ def _smoother(
 
     names = [field.name for field in fields(smoothing.SmoothingConfig)]
     values: dict[str, Any] = {name: getattr(options, f"smooth_{name}") for name in names}
-    config = smoothing.SmoothingConfig(**{**values, "multiples": options.roughness_multiples})
+    config = smoothing.SmoothingConfig(
+        **{**values, "multiples": options.roughness_multiples, "choice": options.roughness_choice}
+    )
     return smoothing.Smoother(engine, cost, model, horizon, n_actions, config)
 
 
