@@ -15,8 +15,9 @@ import tyro
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
 from napsp import envs as tasks
 from napsp.checkpoint import read_tensors
-from napsp.config import METHODS, preset
+from napsp.config import METHODS
 from napsp.errors import UserError, run_command
+from napsp.presets import preset
 from napsp.progress import read_rows
 from napsp.record import save_figure
 from napsp.resume import STATE_FILE

@@ -17,8 +17,9 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, learning_curves
 from benchmarks.sweep import PAPER_TASKS
-from napsp.config import METHODS, preset
+from napsp.config import METHODS
 from napsp.errors import run_command
+from napsp.presets import preset
 from napsp.record import save_figure
 from napsp.statistics import interquartile_mean
 

@@ -21,8 +21,8 @@ from benchmarks.cells import RESULTS, append_result, find, read_results, trained
 from benchmarks.maze_truth import MazeSearch
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
-from napsp.config import preset
 from napsp.errors import UserError, run_command
+from napsp.presets import preset
 
 METHODS = ("ddl", "offpolicy_ddl", "ours")
 SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "task_spearman")

@@ -20,10 +20,10 @@ import tyro
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
-from napsp.config import preset
 from napsp.episodes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.greedy import GreedyPolicy
+from napsp.presets import preset
 from napsp.statistics import describe, wilson_interval
 from planners.options import OPTIONS, PlanOptions
 from planners.session import Session

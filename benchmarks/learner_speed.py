@@ -22,8 +22,9 @@ import tyro
 from benchmarks.cells import report
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision
-from napsp.config import TrainConfig, preset
+from napsp.config import TrainConfig
 from napsp.errors import UserError, run_command
+from napsp.presets import preset
 from napsp.train import new_learner, sizes_of
 
 

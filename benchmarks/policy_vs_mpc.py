@@ -22,10 +22,11 @@ from benchmarks.curves import line_of
 from mpc.motion import action_rate
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
-from napsp.config import TrainConfig, preset
+from napsp.config import TrainConfig
 from napsp.episodes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.greedy import GreedyPolicy
+from napsp.presets import preset
 from napsp.record import save_figure
 from napsp.statistics import describe, paired_difference, wilson_interval
 from planners.options import OPTIONS, PlanOptions

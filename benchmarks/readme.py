@@ -10,8 +10,9 @@ from benchmarks.cells import RESULTS, read_results
 from benchmarks.curves import LINES, NAMED, current_runs, line_of
 from benchmarks.sweep import PAPER_TASKS
 from napsp.checkpoint import write_atomically
-from napsp.config import METHODS, preset
+from napsp.config import METHODS
 from napsp.errors import run_command
+from napsp.presets import preset
 from napsp.statistics import describe, interquartile_mean, wilson_interval
 
 README = Path("README.md")

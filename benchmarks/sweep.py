@@ -20,8 +20,9 @@ import tyro
 
 from benchmarks.cells import ROWS, BusyError, cell_name, published, trained
 from napsp import envs as tasks
-from napsp.config import METHODS, TrainConfig, preset
+from napsp.config import METHODS, TrainConfig
 from napsp.errors import UserError, run_command
+from napsp.presets import preset
 
 PAPER_TASKS = ("point_maze", "fetch_reach", "fetch_wall", "fetch_pick_place", "fetch_pick_place_wall", "claw")
 

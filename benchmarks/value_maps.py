@@ -18,9 +18,10 @@ from benchmarks.cells import RESULTS, trained
 from mpc.cost import LearnedSteps
 from napsp import envs as tasks
 from napsp.checkpoint import load_model, read_tensors
-from napsp.config import METHODS, preset
+from napsp.config import METHODS
 from napsp.errors import UserError, run_command
 from napsp.networks import Critic
+from napsp.presets import preset
 from napsp.record import save_figure
 from napsp.resume import STATE_FILE
 from planners.maze_map import BINS, at_rest, draw_field, steps_field

@@ -137,8 +137,7 @@ class RolloutEngine:
             states[step] = get_state(dynamics.model, data)
             states[step, 0] -= 1.0  # the environment's clock again
             simulation.advance(controls[step : step + 1], features[0, step : step + 1])
-        final_times = np.array([data.time]) if len(actions) else state[:1] + 1.0
-        diverged = self._diverged(_later(state), features, final_times)
+        diverged = self._diverged(_later(state), features, np.array([data.time]))
         return Trajectories(*dynamics.observe(features), diverged), states
 
     def _diverged(self, start: np.ndarray, features: np.ndarray, final_times: np.ndarray) -> np.ndarray:

@@ -11,7 +11,8 @@ import mujoco
 import torch
 
 from napsp.checkpoint import write_atomically, write_json
-from napsp.config import TrainConfig, preset
+from napsp.config import TrainConfig
+from napsp.presets import preset
 from napsp.progress import Row
 
 RECORD_FILE = "training.json"

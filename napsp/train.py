@@ -17,11 +17,12 @@ import tyro
 from napsp import envs as tasks
 from napsp.buffer import Episodes, concatenate
 from napsp.checkpoint import MODEL_FILE, git_revision, save_model
-from napsp.config import TrainConfig, preset
+from napsp.config import TrainConfig
 from napsp.episodes import ExploringActor, evaluate, roll
 from napsp.errors import UserError, run_command
 from napsp.greedy import GreedyPolicy
 from napsp.learner import Learner
+from napsp.presets import preset
 from napsp.progress import Progress, Row, read_rows
 from napsp.record import RECORD_FILE, write_record
 from napsp.resume import STATE_FILE, read_training, restore_training, save_training, warmup_episodes

@@ -10,6 +10,7 @@ from typing import Literal
 
 from napsp.envs import canonical_name
 from napsp.errors import UserError
+from planners.defaults import DEFAULT_HORIZON, DEFAULT_MULTIPLES, HORIZONS, MULTIPLES, PLANNING_SUBSTEPS
 
 COSTS = ("distance", "euclidean", "sparse", "shortest_path")
 
@@ -297,19 +298,4 @@ OPTIONS: dict[str, type[PlanOptions]] = {
     "icem": ICEMOptions,
     "predictive_sampling": PredictiveSamplingOptions,
     "smooth": SmoothOptions,
-}
-HORIZONS = {
-    **dict.fromkeys(("point_maze", "point_maze_long"), 16),
-    **dict.fromkeys(("fetch_reach", "fetch_wall"), 5),
-    **dict.fromkeys(("fetch_pick_place", "fetch_pick_place_wall"), 8),
-    **dict.fromkeys(("fetch_pick_place_plain", "fetch_pick_place_wall_plain"), 15),
-    "claw": 10,
-}
-DEFAULT_HORIZON = 8  # of tasks without an entry
-MULTIPLES: dict[str, tuple[float, ...]] = dict.fromkeys(("point_maze", "point_maze_long"), (1.0,))
-DEFAULT_MULTIPLES = (0.3, 1.0, 3.0, 10.0)
-PLANNING_SUBSTEPS = {  # of the coarse model; other tasks: a quarter of their own
-    **dict.fromkeys(("point_maze", "point_maze_long"), 5),
-    **dict.fromkeys((name for name in HORIZONS if name.startswith("fetch")), 5),
-    "claw": 20,
 }

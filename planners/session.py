@@ -256,9 +256,8 @@ def _smoother(
 
     names = [field.name for field in fields(smoothing.SmoothingConfig)]
     values: dict[str, Any] = {name: getattr(options, f"smooth_{name}") for name in names}
-    config = smoothing.SmoothingConfig(
-        **{**values, "multiples": options.roughness_multiples, "choice": options.roughness_choice}
-    )
+    values |= {"multiples": options.roughness_multiples, "choice": options.roughness_choice}
+    config = smoothing.SmoothingConfig(**values)
     return smoothing.Smoother(engine, cost, model, horizon, n_actions, config)
 
 

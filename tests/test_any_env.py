@@ -9,9 +9,9 @@ import pytest
 
 from mpc.rollout import RolloutEngine
 from napsp import envs
-from napsp.config import preset
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError
+from napsp.presets import preset
 
 STOCK = ["FetchPush-v4", "FetchPickAndPlace-v4", "HandReach-v3"]
 USER_MODULE = """

@@ -20,8 +20,9 @@ from napsp.envs.fetch_arm import GRIPPER_BODIES, LOWER_ARM_BODIES
 from napsp.errors import UserError
 from napsp.greedy import GreedyPolicy
 from planners.cli import run
+from planners.defaults import PLANNING_SUBSTEPS
 from planners.mppi import MPPI
-from planners.options import PLANNING_SUBSTEPS, MPPIOptions
+from planners.options import MPPIOptions
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -8,10 +8,10 @@ import torch
 
 from napsp.agent import PolicyBatch
 from napsp.backprop import Backprop, adam, flatten
-from napsp.config import preset
 from napsp.ddpg import DDPG
 from napsp.losses import squared_error
 from napsp.networks import Policy, mlp, rescale
+from napsp.presets import preset
 from napsp.regression import DistanceRegression
 from napsp.sac import SAC, squash
 from napsp.scaling import Scaling

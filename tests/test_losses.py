@@ -6,10 +6,10 @@ import torch
 
 from benchmarks.tabular import GridWorld, TabularDistance, learn, spearman_against_truth
 from napsp.buffer import Episodes, sample_pairs, sample_relabelled, sample_triples
-from napsp.config import preset
 from napsp.counts import CountModel, HashedCounts, uncertainty
 from napsp.losses import hypotenuse, temporal_label
 from napsp.networks import DistanceNetwork, GaussianPolicy, squash
+from napsp.presets import preset
 from napsp.regression import DistanceRegression
 from napsp.scaling import Scaling
 

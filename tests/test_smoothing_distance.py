@@ -10,8 +10,8 @@ from torch.func import jacrev, vmap
 
 from mpc.smoothing_distance import SmoothDistance
 from napsp.checkpoint import Model, load_model, shipped_model
-from napsp.config import preset
 from napsp.networks import DistanceNetwork, GaussianPolicy
+from napsp.presets import preset
 
 SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")
 

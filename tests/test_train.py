@@ -15,9 +15,10 @@ import pytest
 import torch
 
 from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, save_model, write_atomically, write_tensors
-from napsp.config import ADDED, METHODS, RANGES, TrainConfig, from_dict, preset
+from napsp.config import ADDED, METHODS, RANGES, TrainConfig, from_dict
 from napsp.errors import UserError
 from napsp.networks import DistanceNetwork, GaussianPolicy
+from napsp.presets import preset
 from napsp.resume import STATE_FILE
 from napsp.train import parse, train
 
