@@ -10,6 +10,7 @@ from napsp.envs import canonical_name
 PICK_PLACE: dict[str, Any] = {
     "n_episodes": 11_000,
     "n_warmup_episodes": 200,
+    "episodes_per_iteration": 8,
     "rescale": True,
     "agent": "ddpg",
     "batch_size": 1024,

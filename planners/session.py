@@ -41,7 +41,8 @@ PLANNERS: dict[str, Any] = {
 }
 
 
-N_EFFECTOR = {"point_maze": 2, "point_maze_long": 2, "claw": 9}  # Fetch: the grip's position
+# Where the end effector is stands first in the observations of this package's tasks: the grip's position on Fetch.
+N_EFFECTOR = dict.fromkeys(tasks.TASKS, 3) | {"point_maze": 2, "point_maze_long": 2, "claw": 9}
 
 
 class Watcher(Protocol):
@@ -167,8 +168,9 @@ class Session:
         )
 
     def _effector(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        # Every task's observation begins with where its end effector is.
-        return observation["observation"][: N_EFFECTOR.get(self.env_name, 3)]
+        # Of other tasks nothing is known but that the goal is about what they move.
+        n = N_EFFECTOR.get(self.env_name)
+        return observation["achieved_goal"] if n is None else observation["observation"][:n]
 
     def _to_go(self, observation: dict[str, np.ndarray], plan: Plan) -> float:
         cost = self.controller.cost

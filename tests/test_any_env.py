@@ -13,7 +13,7 @@ from napsp.envs.dynamics import get_state
 from napsp.errors import UserError
 from napsp.presets import preset
 
-STOCK = ["FetchPush-v4", "FetchPickAndPlace-v4", "HandReach-v3"]
+STOCK = ["FetchPush-v4", "FetchPickAndPlace-v4", "HandReach-v3", "PointMaze_UMaze-v3", "AntMaze_UMaze-v5"]
 USER_MODULE = """
 from napsp.envs.point_maze import PointMazeEnv
 
@@ -63,6 +63,36 @@ def test_adapted_robots_follow_stock_up_to_the_age_of_their_poses():
     np.testing.assert_allclose(first["observation"][:3], second["observation"][:3], atol=5e-3)
     ours.close()
     stock.close()
+
+
+@pytest.mark.parametrize(("name", "left_out"), [("PointMaze_UMaze-v3", 0), ("AntMaze_UMaze-v5", 2)])
+def test_adapted_mazes_equal_stock_ones_and_observe_the_position(name, left_out):
+    import gymnasium
+
+    ours, stock = envs.make(name), gymnasium.make(name)
+    first, second = ours.reset(seed=3)[0], stock.reset(seed=3)[0]
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        np.testing.assert_array_equal(first["desired_goal"], second["desired_goal"])
+        np.testing.assert_array_equal(first["achieved_goal"], second["achieved_goal"])
+        np.testing.assert_array_equal(first["observation"][left_out:], second["observation"])
+        np.testing.assert_array_equal(first["observation"][:2], first["achieved_goal"])
+        action = rng.uniform(-1, 1, ours.action_space.shape).astype(np.float32)
+        (first, reward, *_), (second, stock_reward, *_) = ours.step(action), stock.step(action)
+        assert reward == stock_reward - 1
+    assert ours.observation_space.contains(first)
+    ours.close()
+    stock.close()
+
+
+def test_mazes_are_reached_where_stock_says_so_and_seen_as_a_whole():
+    world = envs.make("PointMaze_UMaze-v3").unwrapped
+    world.reset(seed=0)
+    goals = world.goal + np.array([[0.0, 0.44], [0.3, 0.3], [0.0, 0.46], [0.4, 0.4]])
+    assert world.reached(goals, world.goal).tolist() == [True, True, False, False]
+    assert world.compute_reward(goals, np.tile(world.goal, (4, 1)), {}).tolist() == [0, 0, -1, -1]
+    assert world.camera.distance > world.model.stat.extent
+    world.close()
 
 
 def test_adapted_robots_serve_vectorised_rewards_and_pictures():

@@ -51,6 +51,7 @@ ALIASES = {
 
 
 DEFAULT_EPISODE_LENGTH = 50  # of a class given as module:Class that names none
+STOCK_WORDS = ("Fetch", "Hand", "Maze")  # ids with one of them are gymnasium-robotics'
 
 
 def canonical_name(name: str) -> str:
@@ -68,7 +69,7 @@ def canonical_name(name: str) -> str:
     if ":" in name:
         load_object(name)
         return name
-    if name.startswith("Fetch") or "Hand" in name:
+    if any(word in name for word in STOCK_WORDS):
         import gymnasium_robotics
 
         gymnasium.register_envs(gymnasium_robotics)
@@ -122,15 +123,15 @@ REQUIRED = ("dynamics", "model", "data", "reached", "compute_reward", "goal_posi
 
 
 def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium.Env:
-    """Make a stock robot environment a task; others have to offer their dynamics themselves."""
-    from napsp.envs.adapter import RobotTask
+    """Make a stock robot or maze a task; others have to offer their dynamics themselves."""
+    from napsp.envs.adapter import StockTask
 
     try:
-        return RobotTask(lambda **options: load(**options).unwrapped, **kwargs)
+        return StockTask(lambda **options: load(**options).unwrapped, **kwargs)
     except TypeError:
         raise UserError(
-            f"{name} can not be planned in: it lacks {', '.join(missing)} and is no MujocoRobotEnv of "
-            "gymnasium-robotics; add them as the README's 'Use your own environment' shows"
+            f"{name} can not be planned in: it lacks {', '.join(missing)} and is neither a robot nor a "
+            "maze of gymnasium-robotics; add them as the README's 'Use your own environment' shows"
         ) from None
 
 

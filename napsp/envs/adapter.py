@@ -1,4 +1,4 @@
-"""Any Gymnasium-Robotics ``MujocoRobotEnv`` as a task that can be planned in.
+"""Any stock robot or maze of gymnasium-robotics as a task that can be planned in.
 
 Slower than the tasks of this package - the environment's own Python runs inside every rollout -
 and equally exact: environment and rollouts call the same functions. One thing differs from the
@@ -14,66 +14,64 @@ from typing import Any
 import gymnasium
 import mujoco
 import numpy as np
-from gymnasium_robotics.envs.robot_env import MujocoRobotEnv
 
 from napsp.envs.dynamics import INTEGRATION_STATE
+from napsp.envs.stock import Stock, wrap
 
 
-class RobotSimulation:
+class StockSimulation:
     """A stock environment's control step on one ``MjData``."""
 
-    def __init__(self, robot: Any) -> None:
-        self._robot, self._model, self._data = robot, robot.model, robot.data
+    def __init__(self, stock: Stock) -> None:
+        self._stock, self._model, self._data = stock, stock.model, stock.data
 
     def advance(self, controls: np.ndarray, features: np.ndarray) -> None:
         """Apply actions ``(n, A)`` one after the other; write features ``(n, O + G)``."""
-        robot = self._robot
         for control, row in zip(controls.astype(np.float32), features, strict=True):
-            robot._set_action(control)
-            robot._mujoco_step(control)
-            robot._step_callback()
-            self._refresh()
+            self._stock.step(control)
+            self.refresh()
             self.observe(row)
 
     def observe(self, features: np.ndarray) -> None:
         """Features ``(O + G,)``: observation, then achieved goal."""
-        values = self._robot._get_obs()
-        np.concatenate((values["observation"].ravel(), values["achieved_goal"].ravel()), out=features)
+        observation, achieved_goal = self._stock.features()
+        np.concatenate((observation.ravel(), achieved_goal.ravel()), out=features)
 
     def restore(self, state: np.ndarray) -> None:
         """Load a full integration state."""
         mujoco.mj_setState(self._model, self._data, state, INTEGRATION_STATE)
-        self._refresh()
+        self.refresh()
 
-    def _refresh(self) -> None:
+    def refresh(self) -> None:
+        """Bring body poses up to date."""
         # Not mj_forward: it would solve the constraints and move the next step's warm start.
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
 
 
-class RobotDynamics:
+class StockDynamics:
     """A control row is the action; features are observation and achieved goal.
 
     Args:
-        robot: the environment whose model is planned with.
-        make_robot: makes another one; every simulation needs its own.
+        stock: the environment whose model is planned with.
+        make: makes another one; every simulation needs its own.
     """
 
     open_loop = False
 
-    def __init__(self, robot: Any, make_robot: Callable[[], Any]) -> None:
-        self.model, self.substeps = robot.model, robot.n_substeps
-        spaces = robot.observation_space.spaces
+    def __init__(self, stock: Stock, make: Callable[[], Stock]) -> None:
+        self.model, self.substeps = stock.model, stock.substeps
+        spaces = stock.observation_space.spaces
         self._n_observation = int(np.prod(spaces["observation"].shape))
         self.n_features = self._n_observation + int(np.prod(spaces["achieved_goal"].shape))
-        self._low, self._high = robot.action_space.low, robot.action_space.high
-        self._make_robot = make_robot
+        self._low, self._high = stock.env.action_space.low, stock.env.action_space.high
+        self._make = make
 
-    def bind(self, data: mujoco.MjData) -> RobotSimulation:
+    def bind(self, data: mujoco.MjData) -> StockSimulation:
         """Simulate on ``data``."""
-        robot = self._make_robot()
-        robot.model, robot.data, robot.n_substeps = self.model, data, self.substeps
-        return RobotSimulation(robot)
+        stock = self._make()
+        stock.use(self.model, data, self.substeps)
+        return StockSimulation(stock)
 
     def control(self, actions: np.ndarray) -> np.ndarray:
         """Actions ``(..., A)`` clipped to the action space, in float32 numbers as stock steps use them."""
@@ -84,36 +82,55 @@ class RobotDynamics:
         return features[..., : self._n_observation].copy(), features[..., self._n_observation :].copy()
 
 
-class RobotTask(gymnasium.Env):
-    """A ``MujocoRobotEnv`` with the interface of this package's tasks; reward 0 on success, else -1."""
+class StockTask(gymnasium.Env):
+    """A stock environment with the interface of this package's tasks; reward 0 on success, else -1.
 
-    def __init__(self, make_robot: Callable[..., Any], render_mode: str | None = None) -> None:
-        self._robot = make_robot(render_mode=render_mode)
-        if not isinstance(self._robot, MujocoRobotEnv):
-            raise TypeError(f"{type(self._robot).__name__} is not a MujocoRobotEnv of gymnasium-robotics")
-        self.metadata, self.render_mode = self._robot.metadata, render_mode
-        self.observation_space, self.action_space = self._robot.observation_space, self._robot.action_space
-        self.model, self.data = self._robot.model, self._robot.data
-        self.dynamics = RobotDynamics(self._robot, make_robot)
-        self._simulation = RobotSimulation(self._robot)
+    Args:
+        make: makes the environment.
+        render_mode: Gymnasium's.
+
+    Raises:
+        TypeError: the environment is neither a robot nor a maze of gymnasium-robotics.
+    """
+
+    def __init__(self, make: Callable[..., Any], render_mode: str | None = None) -> None:
+        self._stock = wrap(make(render_mode=render_mode))
+        env = self._stock.env
+        self.metadata, self.render_mode = env.metadata, render_mode
+        self.observation_space, self.action_space = self._stock.observation_space, env.action_space
+        self.model, self.data = self._stock.model, self._stock.data
+        self.dynamics = StockDynamics(self._stock, lambda: wrap(make()))
+        self._simulation = StockSimulation(self._stock)
         self._features = np.zeros((1, self.dynamics.n_features))
-        self.goal_radius = float(getattr(self._robot, "distance_threshold", 0.05))
+        self.goal_radius = self._stock.goal_radius
         self.step_length = self.goal_radius  # unknown; for the Euclidean cost one goal radius per step
 
     @property
     def goal(self) -> np.ndarray:
         """The desired goal ``(G,)``."""
-        return self._robot.goal
+        return self._stock.env.goal
 
     @goal.setter
     def goal(self, goal: np.ndarray) -> None:
-        self._robot.goal = goal
+        self._stock.env.goal = goal
+
+    @property
+    def camera(self) -> mujoco.MjvCamera:
+        """Where videos are taken from: the stock environment's own view."""
+        camera = mujoco.MjvCamera()
+        mujoco.mjv_defaultFreeCamera(self.model, camera)
+        for name, value in self._stock.camera.items():
+            if name == "lookat":
+                camera.lookat[:] = value
+            else:
+                setattr(camera, name, value)
+        return camera
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
         """Start an episode as the stock environment does."""
         super().reset(seed=seed)
-        self._robot.reset(seed=seed, options=options)
-        self._simulation._refresh()
+        self._stock.env.reset(seed=seed, options=options)
+        self._simulation.refresh()
         self._simulation.observe(self._features[0])
         return self._observation(), {}
 
@@ -128,7 +145,7 @@ class RobotTask(gymnasium.Env):
 
     def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
         """Tell for each pair of goals ``(..., G)`` whether the stock environment calls it a success."""
-        return np.asarray(self._robot._is_success(np.asarray(achieved_goal), np.asarray(desired_goal))) > 0
+        return self._stock.reached(achieved_goal, desired_goal)
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> Any:
         """Sparse reward ``(...)``: 0 where reached, -1 elsewhere."""
@@ -142,11 +159,11 @@ class RobotTask(gymnasium.Env):
 
     def render(self) -> Any:
         """Draw the scene; the physics does not notice."""
-        return self._robot.render()
+        return self._stock.env.render()
 
     def close(self) -> None:
         """Release the renderer."""
-        self._robot.close()
+        self._stock.env.close()
 
     def _observation(self) -> dict[str, np.ndarray]:
         observation, achieved_goal = self.dynamics.observe(self._features[0])
