@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 
 from mpc.rollout import available_cores
-from napsp.checkpoint import git_revision, write_atomically, write_json
+from napsp.checkpoint import SHIPPED, git_revision, write_atomically, write_json
 from napsp.config import TrainConfig
 from napsp.envs import file_name
 from napsp.progress import read_rows
@@ -68,6 +68,15 @@ def trained(config: TrainConfig, wait: bool = True) -> Path:
             raise KeyboardInterrupt  # an interrupted run is not a result
         publish(folder)
     return folder
+
+
+def checkpoint_of(config: TrainConfig) -> Path:
+    """Folder of a model of this configuration and seed: the one that ships with the package, or :func:`trained`."""
+    for path in sorted(SHIPPED.glob(f"*/{RECORD_FILE}")):
+        record = json.loads(path.read_text())
+        if (record["config_hash"], record["seed"]) == (config.hash(), config.seed):
+            return path.parent
+    return trained(config)
 
 
 def published(config: TrainConfig) -> bool:

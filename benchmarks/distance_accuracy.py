@@ -17,7 +17,7 @@ import torch
 import tyro
 from scipy.stats import pearsonr, spearmanr
 
-from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
 from benchmarks.maze_truth import MazeSearch
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
@@ -98,7 +98,7 @@ def main() -> int:
     torch.set_num_threads(1)
     path = RESULTS / "distance_accuracy.csv"
     configs = [preset(env_name, method=method, seed=seed) for method in METHODS for seed in options.seeds]
-    models = {(c.method, c.seed): (load_model(trained(c), env_name), c) for c in configs}
+    models = {(c.method, c.seed): (load_model(checkpoint_of(c), env_name), c) for c in configs}
     probe = make_probe(env_name, options.n_states, options.n_goals)
     print(
         f"{env_name}: {int(np.isfinite(probe.steps).sum())} triples, mean true distance {probe.steps.mean():.1f} steps"

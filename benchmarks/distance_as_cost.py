@@ -17,7 +17,7 @@ import numpy as np
 import torch
 import tyro
 
-from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
 from napsp.episodes import evaluate
@@ -141,7 +141,7 @@ def main() -> int:
             }  # fmt: skip
             row = find(read_results(path), key)
             if row is None:
-                checkpoint = trained(config) if config else None
+                checkpoint = checkpoint_of(config) if config else None
                 figures = run_cell(env_name, variant, checkpoint, options)
                 append_result(path, {**key, **figures, "revision": git_revision()})
                 row = find(read_results(path), key)

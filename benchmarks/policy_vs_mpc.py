@@ -17,7 +17,7 @@ import numpy as np
 import torch
 import tyro
 
-from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
 from benchmarks.curves import line_of
 from mpc.motion import action_rate
 from napsp import envs as tasks
@@ -141,7 +141,7 @@ def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, op
     }  # fmt: skip
     row = find(read_results(FILE), key)
     if row is None:
-        checkpoint, seeds = trained(config), [options.seed + i for i in range(options.episodes)]
+        checkpoint, seeds = checkpoint_of(config), [options.seed + i for i in range(options.episodes)]
         if settings is None:
             figures = run_policy(config.env, checkpoint, seeds)
         else:

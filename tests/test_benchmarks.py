@@ -10,6 +10,7 @@ import pytest
 from test_train import tiny
 
 from benchmarks import cells, curves, smoothing, sweep
+from napsp.presets import preset
 from napsp.statistics import describe, interquartile_mean, paired_difference
 
 
@@ -115,3 +116,13 @@ def test_interquartile_mean_and_its_interval():
         low, high = interquartile_mean(rng.normal(0.5, 0.1, 10))[1]
         covered += low <= 0.5 <= high
     assert covered >= 50, "about 95 % of intervals hold the truth (bootstraps of ten run a little short)"
+
+
+def test_a_shipped_model_of_the_same_settings_is_not_trained_again(workplace, monkeypatch):
+    def no_training(*arguments, **options):
+        raise AssertionError("trained")
+
+    monkeypatch.setattr(cells, "train", no_training)
+    assert cells.checkpoint_of(preset("fetch_wall", seed=0)).name == "fetch_wall"
+    with pytest.raises(AssertionError, match="trained"):
+        cells.checkpoint_of(preset("fetch_wall", seed=1))
