@@ -1,0 +1,159 @@
+"""Tables of planning: costs, policy against planner, smoothing; each a list of markdown lines."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from benchmarks.cells import RESULTS, read_results
+from benchmarks.curves import line_of
+from benchmarks.sweep import PAPER_TASKS
+from napsp.config import METHODS
+from napsp.presets import preset
+from napsp.statistics import describe, paired_difference, wilson_interval
+
+
+def glance_table() -> list[str]:
+    """One line per task: what the straight line, the policy and the best planner with d come to."""
+    costs = {
+        row["env"]: row for row in read_results(RESULTS / "distance_as_cost.csv") if "euclidean, mean" in row["variant"]
+    }
+    lines = [
+        "### At a glance",
+        "",
+        "Success in the last step on 50 fresh episodes, 95 % Wilson interval. *Planner* is the best of those run with the learned",
+        "distance, 64 simulated plans per control step, the policy's rollout among them; *straight line* is MPPI with that cost at the",
+        "same budget (on 50 other fresh episodes). Policy and planner share one training run.",
+        "",
+        "| task | training episodes | straight line | policy | planner | planner minus policy | steps to goal, policy / planner |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    rows = [
+        row for row in _versus_rows() if (row["budget"], row["proposals"]) == ("64", "1") or row["planner"] == "policy"
+    ]
+    for env in PAPER_TASKS:
+        runs: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
+        for row in rows:
+            if row["env"] == env:
+                runs[row["training_hash"], row["training_seed"]].append(row)
+        compared = [run for run in runs.values() if len({row["planner"] == "policy" for row in run}) == 2]
+        if not compared:
+            lines.append(f"| {env} | not run |  |  |  |  |  |")
+            continue
+        run = max(compared, key=lambda run: int(run[0]["training_episodes"]))
+        policy = next(row for row in run if row["planner"] == "policy")
+        best = min((row for row in run if row["planner"] != "policy"), key=_worse)
+        gain, (low, high) = paired_difference(*([float(hit) for hit in row["successes"]] for row in (best, policy)))
+        line = _success(costs[env]) if env in costs else "not run"
+        lines.append(
+            f"| {env} | {policy['training_episodes']}{policy['training'].removeprefix('ours')} | {line} | {_success(policy)} "
+            f"| {_success(best)} {best['planner']} | {gain:+.2f} [{low:+.2f}, {high:+.2f}] "
+            f"| {float(policy['mean_steps_to_goal']):.1f} / {float(best['mean_steps_to_goal']):.1f} |"
+        )
+    return lines
+
+
+def _worse(row: dict[str, str]) -> tuple[float, float]:
+    return -float(row["success_rate"]), float(row["mean_steps_to_goal"] or "inf")
+
+
+def _success(row: dict[str, str]) -> str:
+    n, rate = int(row["episodes"]), float(row["success_rate"])
+    return describe(rate, wilson_interval(round(rate * n), n))
+
+
+def _by_task(env: str) -> tuple[int, str]:
+    """Sorting key: the paper's tasks in its order, then others."""
+    return PAPER_TASKS.index(env) if env in PAPER_TASKS else len(PAPER_TASKS), env
+
+
+def cost_table() -> list[str]:
+    """Costs for planning, pooled over training seeds."""
+    groups: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
+    for row in read_results(RESULTS / "distance_as_cost.csv"):
+        hashes = {preset(row["env"], method=method).hash() for method in METHODS}
+        current = not row["training_seed"] or row["training_hash"] in hashes
+        if current and (row["samples"], row["episodes"]) == ("64", "50"):
+            groups[row["env"], row["variant"]].append(row)
+    lines = [
+        "### Which cost plans (`python -m benchmarks.distance_as_cost --env NAME`)",
+        "",
+        "MPPI, 64 samples, fresh episode seeds, success in the last step with its 95 % Wilson interval over all episodes;",
+        "episodes of one checkpoint share its training, so read the rates per training seed as well.",
+        "",
+        "| task | cost | success | per training seed | at goal in some step | steps to goal |",
+        "|---|---|---|---|---|---|",
+    ]
+    for (env, variant), rows in sorted(groups.items(), key=lambda group: _by_task(group[0][0])):
+        n = sum(int(row["episodes"]) for row in rows)
+        successes = sum(round(float(row["success_rate"]) * int(row["episodes"])) for row in rows)
+        any_rate = sum(float(row["any_success_rate"]) for row in rows) / len(rows)
+        steps = [float(row["mean_steps_to_goal"]) for row in rows if row["mean_steps_to_goal"]]
+        seeds = ", ".join(f"{float(row['success_rate']):.2f}" for row in rows) if rows[0]["training_seed"] else "-"
+        lines.append(
+            f"| {env} | {variant} | {describe(successes / n, wilson_interval(successes, n))} | {seeds} | {any_rate:.2f} "
+            f"| {f'{sum(steps) / len(steps):.1f}' if steps else '-'} |"
+        )
+    return lines
+
+
+def _versus_rows() -> list[dict[str, str]]:
+    """Rows of policy and planners, each with the name of its ``training``; only settings of today's presets."""
+    rows = []
+    for row in read_results(RESULTS / "policy_vs_mpc.csv"):
+        training = line_of(row["env"], row["training_hash"], int(row["training_episodes"]))
+        if training is not None:
+            rows.append(row | {"training": training})
+    return rows
+
+
+def versus_table() -> list[str]:
+    """The policy against planners with the same distance."""
+    rows = sorted(
+        _versus_rows(), key=lambda row: (*_by_task(row["env"]), -int(row["training_episodes"]), row["training"])
+    )
+    lines = [
+        "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
+        "",
+        "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements.",
+        "",
+        "| task | training | episodes | planner | policy's rollout among the samples | budget | success | steps to goal | action rate | ms per plan |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        policy = row["planner"] == "policy"
+        steps = f"{float(row['mean_steps_to_goal']):.1f}" if row["mean_steps_to_goal"] else "-"
+        lines.append(
+            f"| {row['env']} | {row['training']} | {row['training_episodes']} | {row['planner']} "
+            f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
+            f"| {_success(row)} | {steps} "
+            f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f} |"
+        )
+    for path in sorted(RESULTS.glob("policy_vs_mpc_*.png")):
+        lines += ["", f"![Success of policy and planners on {path.stem.removeprefix('policy_vs_mpc_')}]({path})"]
+    return lines if rows else []
+
+
+def smoothing_table() -> list[str]:
+    """Planners with and without the smoothing layer."""
+    lines = [
+        "### Smoothing (`python -m benchmarks.smoothing --env NAME`)",
+        "",
+        "The same fresh episodes, one thread. *Action rate* is the mean squared change from one action to the next; *accepted*",
+        "the share of plans that the layer made smoother, + of those that it had made at an earlier step and the search handed back",
+        "unchanged; *risen* counts accepted plans whose true cost went up.",
+        "",
+        "| task | planner | proposals | variant | success | first hit | action rate | jerk | accepted | risen | search + smoothing [ms] |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    rows = read_results(RESULTS / "smoothing.csv")
+    for row in sorted(rows, key=lambda row: (row["env"], row["planner"], row["proposals"])):
+        hits = [float(hit) for hit in row["first_hits"].split() if hit != "-"]
+        n, rate = int(row["episodes"]), float(row["success_rate"])
+        shares = [f"{float(row[name]):.2f}" for name in ("accepted_share", "kept_share") if row.get(name)]
+        lines.append(
+            f"| {row['env']} | {row['planner']} | {'yes' if row['proposals'] == 'True' else 'no'} | {row['variant']} "
+            f"| {describe(rate, wilson_interval(round(rate * n), n))} | {sum(hits) / max(1, len(hits)):.1f} "
+            f"| {float(row['action_rate']):.4f} | {float(row['jerk']):.1f} | {' + '.join(shares) or '-'} | {row.get('risen') or '-'} "
+            f"| {float(row['search_ms']):.0f} + {float(row['smoothing_ms']):.0f} |"
+        )
+    return lines

@@ -1,0 +1,112 @@
+"""Tables of training: the paper's comparison, shipped checkpoints, distance accuracy, coverage; markdown lines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from benchmarks.cells import RESULTS, read_results
+from benchmarks.curves import LINES, MORE_UPDATES, current_runs
+from benchmarks.sweep import PAPER_TASKS
+from napsp.config import METHODS
+from napsp.presets import preset
+from napsp.statistics import describe, interquartile_mean
+
+
+def _current(name: str) -> list[dict[str, str]]:
+    """Rows of the present presets; rows of superseded settings stay in the file only."""
+    rows = read_results(RESULTS / name)
+    hashes = {(r["env"], m): preset(r["env"], method=m).hash() for r in rows for m in METHODS}
+    return [r for r in rows if r["method"] not in METHODS or r["config_hash"] == hashes[r["env"], r["method"]]]
+
+
+def training_table() -> list[str]:
+    """Final evaluation of the shipped checkpoints."""
+    lines = [
+        "### Shipped checkpoints",
+        "",
+        "| task | command | episodes | wall minutes, machine shared | success | d at the goal |",
+        "|---|---|---|---|---|---|",
+    ]
+    for path in sorted(Path("napsp/checkpoints").glob("*/training.json")):
+        record = json.loads(path.read_text())
+        final = record["final"]
+        lines.append(
+            f"| {path.parent.name} | `{record['command']}` | {record['episodes']:.0f} | {record['minutes']:.1f} "
+            f"| {final['success_rate']:.2f} | {final.get('distance_at_goal', float('nan')):.1f} |"
+        )
+    return lines
+
+
+def learning_table() -> list[str]:
+    """Final evaluation of every cell of the paper's comparison, over training seeds."""
+    lines = [
+        "### The paper's comparison (`python -m benchmarks.sweep`, `python -m benchmarks.curves`)",
+        "",
+        "![Learning curves of all tasks and methods](results/figure3.png)",
+        "",
+        "Last evaluation of each training run, on goals that all methods and seeds share; interquartile mean over seeds with its",
+        "95 % bootstrap interval (three seeds or more). *Success* is being at the goal in the last step, *maximum reward* the least",
+        "distance to the goal in an episode, negated. *First arrival* is `--first-arrival`, an option that the paper does not have.",
+        "",
+        "| task | method | seeds | episodes | success | some-step success | maximum reward [m] | success 1.0 first at episode |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for env in PAPER_TASKS:
+        runs = current_runs(env)
+        for method, options in {**LINES, **MORE_UPDATES}.items():
+            if method not in METHODS and not runs.get(method):
+                continue
+            cells = ["not run", *[""] * 5]
+            if runs.get(method):
+                last = [run["curve"][-1] for run in runs[method]]
+                summaries = [
+                    describe(*interquartile_mean([row[k] for row in last])) if all(k in row for row in last) else "-"
+                    for k in ("success_rate", "any_success_rate", "max_reward")
+                ]
+                first = [_first_full(run["curve"]) for run in runs[method]]
+                wanted = preset(env, **options).n_episodes
+                done = min(int(row["episodes"]) for row in last)
+                length = str(done) if done >= wanted else f"{done} of {wanted}"
+                cells = [str(len(last)), length, *summaries, ", ".join(first)]
+            lines.append(f"| {env} | {method} | {' | '.join(cells)} |")
+    return lines
+
+
+def _first_full(curve: list[dict[str, float]]) -> str:
+    full = [row["episodes"] for row in curve if row["success_rate"] == 1.0]
+    return f"{full[0]:.0f}" if full else "never"
+
+
+def accuracy_table() -> list[str]:
+    """Learned distances against exact ones."""
+    lines = [
+        "### Distance accuracy (`python -m benchmarks.distance_accuracy --env point_maze`)",
+        "",
+        "d(s, a, g) for states at rest anywhere, uniform actions and goals, against exact shortest-path steps over the real",
+        "dynamics (breadth-first search with MuJoCo steps as edges). *Task pairs* lead from the start room to the goal room.",
+        "",
+        "| task | method | seed | Spearman | Pearson | ratio CV | mean ratio | Spearman, task pairs |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in _current("distance_accuracy.csv"):
+        figures = [f"{float(row[k]):.2f}" for k in ("spearman", "pearson", "ratio_cv", "mean_ratio", "task_spearman")]
+        lines.append(f"| {row['env']} | {row['method']} | {row['seed'] or '-'} | {' | '.join(figures)} |")
+    return lines
+
+
+def coverage_table() -> list[str]:
+    """State coverage of the four methods."""
+    lines = [
+        "### State coverage, figure 6 (`python -m benchmarks.coverage`)",
+        "",
+        "![State coverage of the four methods in the long maze](results/coverage_point_maze_long.png)",
+        "",
+        "| task | method | seed | episodes | house covered | goal room covered | success | any-step success |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in _current("coverage.csv"):
+        names = ("coverage", "goal_room_coverage", "success_rate", "any_success_rate")
+        figures = [f"{float(row[k]):.2f}" for k in names]
+        lines.append(f"| {row['env']} | {row['method']} | {row['seed']} | {row['episodes']} | {' | '.join(figures)} |")
+    return lines
