@@ -14,6 +14,7 @@ from typing import Any
 import gymnasium
 import mujoco
 import numpy as np
+from gymnasium.spaces import flatdim
 
 from napsp.envs.dynamics import INTEGRATION_STATE
 from napsp.envs.stock import Stock, wrap
@@ -62,8 +63,8 @@ class StockDynamics:
     def __init__(self, stock: Stock, make: Callable[[], Stock]) -> None:
         self.model, self.substeps = stock.model, stock.substeps
         spaces = stock.observation_space.spaces
-        self._n_observation = int(np.prod(spaces["observation"].shape))
-        self.n_features = self._n_observation + int(np.prod(spaces["achieved_goal"].shape))
+        self._n_observation = flatdim(spaces["observation"])
+        self.n_features = self._n_observation + flatdim(spaces["achieved_goal"])
         self._low, self._high = stock.env.action_space.low, stock.env.action_space.high
         self._make = make
 
