@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 import tyro
@@ -39,6 +39,8 @@ class SweepOptions:
     """Training seeds 0 .. seeds - 1."""
     n_episodes: int | None = None
     """Training episodes of every cell; None takes each task's own."""
+    first_arrival: bool = False
+    """Label with steps of first arrival, see napsp.train; sparse, which learns no distance, is left as it is."""
     again: bool = False
     """Also train cells whose curves are in results/runs already; those stay as they are there."""
     jobs: int = 1
@@ -53,8 +55,10 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
     for seed in range(options.seeds):
         for env in options.envs:
             for method in options.methods:
-                length = {} if options.n_episodes is None else {"n_episodes": options.n_episodes}
-                yield preset(tasks.canonical_name(env), method=method, seed=seed, **length)
+                asked: dict[str, Any] = {"first_arrival": options.first_arrival and method != "sparse"}
+                if options.n_episodes is not None:
+                    asked["n_episodes"] = options.n_episodes
+                yield preset(tasks.canonical_name(env), method=method, seed=seed, **asked)
 
 
 def work(options: SweepOptions) -> None:
