@@ -40,13 +40,24 @@ class HashedCounts:
 
     def key(self, inputs: np.ndarray) -> np.ndarray:
         """Keys ``(...)`` of scaled inputs ``(..., input_size)``."""
-        bits = (inputs @ self.projection[:-1] + self.projection[-1]) > 0
-        weights = np.left_shift(np.int64(1), np.arange(bits.shape[-1], dtype=np.int64))
-        return bits @ weights
+        return _packed(inputs @ self.projection[:-1] + self.projection[-1])
+
+    def joint_keys(self, first: np.ndarray, second: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Keys ``(P,)`` of the inputs ``[first[i], second[j]]`` for P index pairs, joined after projecting each once.
+
+        A long episode has far more pairs than states.
+        """
+        split = first.shape[-1]
+        left, right = first @ self.projection[:split], second @ self.projection[split:-1] + self.projection[-1]
+        return _packed(left[i] + right[j])
 
     def add(self, inputs: np.ndarray) -> None:
         """Count every row of ``(B, input_size)`` once."""
-        keys, counts = np.unique(self.key(inputs), return_counts=True)
+        self.add_keys(self.key(inputs))
+
+    def add_keys(self, keys: np.ndarray) -> None:
+        """Count every key of ``(B,)`` once."""
+        keys, counts = np.unique(keys, return_counts=True)
         places = np.searchsorted(self.keys, keys)
         known = np.zeros(len(keys), bool)
         inside = places < len(self.keys)
@@ -94,8 +105,8 @@ class CountModel:
         self.visit_table.add(pairs.reshape(n_episodes * horizon, -1))
         goals = self.scaling.goal(episodes.achieved_goals)
         first, later = np.triu_indices(horizon + 1, k=1)
-        reached = np.concatenate([pairs[:, first], goals[:, later]], axis=-1)
-        self.reached_table.add(reached.reshape(n_episodes * len(first), -1))
+        keys = [self.reached_table.joint_keys(*episode, first, later) for episode in zip(pairs, goals, strict=True)]
+        self.reached_table.add_keys(np.concatenate(keys))
 
     def recount(self, episodes: Episodes, scaling: Scaling) -> None:
         """Count all episodes again under another scaling."""
@@ -127,6 +138,14 @@ class Visits:
     def __call__(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """N(s, a), ``(B,)``."""
         return self.table.count(_pairs(self.scaling, observations, actions))
+
+
+def _packed(projected: np.ndarray) -> np.ndarray:
+    """Signs of ``(..., n_bits)`` numbers as the bits of integers ``(...)``."""
+    packed = np.packbits(projected > 0, axis=-1, bitorder="little")
+    filled = np.zeros((*packed.shape[:-1], 8), np.uint8)
+    filled[..., : packed.shape[-1]] = packed
+    return filled.view("<i8")[..., 0].astype(np.int64)
 
 
 def _pairs(scaling: Scaling, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
