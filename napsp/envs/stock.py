@@ -127,9 +127,9 @@ class Maze:
 
     @property
     def camera(self) -> dict[str, Any]:  # noqa: D102
-        # The stock camera of the ant follows it; a whole maze is seen from above.
+        # The stock cameras see a part of a maze, and walls hide what stands behind them.
         extent = float(self.model.stat.extent)
-        return {"lookat": self.model.stat.center, "distance": 1.2 * extent, "azimuth": 90.0, "elevation": -70.0}
+        return {"lookat": self.model.stat.center, "distance": 1.2 * extent, "azimuth": 90.0, "elevation": -89.0}
 
     def use(self, model: mujoco.MjModel, data: mujoco.MjData, substeps: int) -> None:  # noqa: D102
         self._agent.model, self._agent.data, self._agent.frame_skip = model, data, substeps
