@@ -25,7 +25,8 @@ from napsp.errors import UserError, run_command
 from napsp.greedy import GreedyPolicy
 from napsp.presets import preset
 from napsp.statistics import describe, wilson_interval
-from planners.options import OPTIONS, PlanOptions
+from planners.options import PlanOptions
+from planners.search_options import OPTIONS
 from planners.session import Session
 
 
@@ -46,6 +47,9 @@ VARIANTS: dict[str, Variant] = {
     "distance, end of the plan": Variant("ours", {"cost": "distance", "where": "terminal"}),
     "distance, mean and end": Variant("ours", {"cost": "distance", "where": "both"}),
     "distance, mean, no policy proposals": Variant("ours", {**DISTANCE, "proposals": False}),
+    "distance, mean, greedy proposals instead of the policy's": Variant(
+        "ours", {**DISTANCE, "proposals": False, "greedy_proposals": True}
+    ),
     "distance, end, no policy proposals": Variant(
         "ours", {"cost": "distance", "where": "terminal", "proposals": False}
     ),

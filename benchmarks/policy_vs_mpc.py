@@ -29,7 +29,8 @@ from napsp.greedy import GreedyPolicy
 from napsp.presets import preset
 from napsp.record import save_figure
 from napsp.statistics import describe, paired_difference, wilson_interval
-from planners.options import OPTIONS, PlanOptions
+from planners.options import PlanOptions
+from planners.search_options import OPTIONS
 from planners.session import Session
 
 FILE = RESULTS / "policy_vs_mpc.csv"

@@ -38,7 +38,7 @@ from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import UserError, run_command
-from planners.options import OPTIONS
+from planners.search_options import OPTIONS
 from planners.session import Session
 
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -153,7 +153,7 @@ def measure_plan(options: SpeedOptions) -> dict[str, Any]:
         raw()  # first call: allocation
         table["raw"].append(clocked(raw, controller.engine))
         tried: list[np.ndarray] = []
-        controller.engine.rollout = lambda s, a, known=None: (tried.append(a), simulate(s, a, known))[1]  # noqa: B023
+        controller.engine.rollout = lambda s, a, known=(): (tried.append(a), simulate(s, a, known))[1]  # noqa: B023
         plans: list[Plan] = []
         table["plan"].append(clocked(lambda: plans.append(controller.plan_from(state, observation)), controller.engine))  # noqa: B023
         replay = Replay(dynamics, state, tried[0], n_threads)

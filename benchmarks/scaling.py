@@ -21,7 +21,7 @@ from benchmarks.rollout_speed import clocked
 from napsp import envs as tasks
 from napsp.envs.dynamics import get_state
 from napsp.record import save_figure
-from planners.options import MPPIOptions
+from planners.search_options import MPPIOptions
 from planners.session import Session
 
 SAMPLES = tuple(2**k for k in range(4, 11))

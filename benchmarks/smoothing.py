@@ -24,7 +24,7 @@ from napsp.errors import UserError, run_command
 from napsp.record import save_figure
 from napsp.statistics import describe, paired_difference, wilson_interval
 from planners.episode import EpisodeResult
-from planners.options import OPTIONS
+from planners.search_options import OPTIONS
 from planners.session import Session
 
 PLAIN, SMOOTHED = "plain", "smoothed"

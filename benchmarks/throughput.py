@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -35,7 +36,7 @@ from mpc.speed import RawRollout
 from napsp import envs as tasks
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError, run_command
-from planners.options import MPPIOptions
+from planners.search_options import MPPIOptions
 from planners.session import Session
 
 RAW, OURS = "raw", "napsp"
@@ -77,7 +78,7 @@ class RecordedPlanner:
         self._simulate = self.engine.rollout
         self.engine.rollout = self._record
 
-    def _record(self, state: np.ndarray, actions: np.ndarray, known: Followed | None = None) -> Trajectories:
+    def _record(self, state: np.ndarray, actions: np.ndarray, known: Sequence[Followed] = ()) -> Trajectories:
         self.actions = actions
         return self._simulate(state, actions, known)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from mpc.cost import Cost
 from mpc.knots import Interpolation, interpolation_matrix, shift_matrix
-from mpc.rollout import Actor, Followed, RolloutEngine, Trajectories
+from mpc.rollout import Actor, RolloutEngine, Trajectories
 from napsp.envs.dynamics import check_same_state, get_state
 
 
@@ -111,7 +112,7 @@ class Controller:
         n_knots: K; None gives every control step its own knot.
         interpolation: how knots become controls.
         n_refinements: sample-update rounds per plan call.
-        proposals_from: a policy whose own rollout joins the samples.
+        proposals_from: actors, such as a policy, whose own rollouts join the samples.
         smoother: what smooths the plan before its first action is executed.
     """
 
@@ -125,7 +126,7 @@ class Controller:
         n_knots: int | None = None,
         interpolation: Interpolation = "linear",
         n_refinements: int = 1,
-        proposals_from: Actor | None = None,
+        proposals_from: Sequence[Actor] = (),
         smoother: Smoother | None = None,
     ) -> None:
         self.engine, self.planner, self.cost = engine, planner, cost
@@ -171,8 +172,8 @@ class Controller:
         if not self._fresh:
             self.planner.shift(self._shift)
         self._fresh = False
-        followed = self._follow_policy(state, observation)
-        proposals = None if followed is None else (self._to_knots @ followed.actions)[None]
+        followed = [self.engine.follow(state, observation, actor, self.horizon) for actor in self._proposals_from]
+        proposals = np.stack([self._to_knots @ own.actions for own in followed]) if followed else None
         n_simulated = self.cost.simulated_steps(self.horizon)
         for _ in range(self.n_refinements):
             knots = self.planner.sample(self.rng, proposals)
@@ -213,11 +214,6 @@ class Controller:
     def _actions(self, knots: np.ndarray) -> np.ndarray:
         # float32 like the environments' action spaces: the plan is what will be executed.
         return np.clip(self._to_actions @ knots, -1.0, 1.0).astype(np.float32)
-
-    def _follow_policy(self, state: np.ndarray, observation: dict[str, np.ndarray]) -> Followed | None:
-        if self._proposals_from is None:
-            return None
-        return self.engine.follow(state, observation, self._proposals_from, self.horizon)
 
     def _warn_if_lost(self, costs: np.ndarray) -> None:
         if not np.isfinite(costs).any() and not self._warned:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -92,20 +92,21 @@ class RolloutEngine:
         """Let helper processes see what has changed in the dynamics, as a new episode may bring."""
         self._end_helpers()
 
-    def rollout(self, state: np.ndarray, actions: np.ndarray, known: Followed | None = None) -> Trajectories:
+    def rollout(self, state: np.ndarray, actions: np.ndarray, known: Sequence[Followed] = ()) -> Trajectories:
         """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.dynamics.get_state`.
 
-        Samples equal to the actions of ``known``, followed from the same state, are copied
-        from there instead.
+        Samples equal to actions in ``known``, followed from the same state, are copied from
+        there instead.
         """
         n_samples, horizon = actions.shape[:2]
         state = _later(state)
         features = np.empty((n_samples, horizon, self.dynamics.n_features))
         final_times = np.full(n_samples, state[0])
         is_known = np.zeros(n_samples, bool)
-        if known is not None and horizon:
-            is_known = (actions == known.actions[:horizon]).all((1, 2))
-            features[is_known], final_times[is_known] = known.features[:horizon], known.times[horizon - 1]
+        for own in known if horizon else ():
+            same = (actions == own.actions[:horizon]).all((1, 2))
+            features[same], final_times[same] = own.features[:horizon], own.times[horizon - 1]
+            is_known |= same
         samples = np.flatnonzero(~is_known)
         if horizon and len(samples):  # without a horizon d(s, a, g) alone counts; mujoco.rollout crashes on no samples
             run = self._run_native if self.dynamics.open_loop else self._run_workers

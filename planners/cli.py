@@ -10,7 +10,7 @@ import tyro
 
 from napsp.errors import run_command
 from planners.gl import choose_gl, require_display
-from planners.options import OPTIONS
+from planners.search_options import OPTIONS
 
 
 def main(planner: str) -> None:

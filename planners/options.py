@@ -13,7 +13,7 @@ from napsp.errors import UserError
 from planners.defaults import DEFAULT_HORIZON, DEFAULT_MULTIPLES, HORIZONS, MULTIPLES, PLANNING_SUBSTEPS
 
 COSTS = ("distance", "euclidean", "sparse", "shortest_path")
-
+SWITCHES = ("smooth", "low_pass", "pessimism", "ensemble", "greedy_proposals")
 
 RANGES: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("episodes", "samples", "horizon", "knots", "refinements", "threads"), (1, 10**6)),
@@ -79,6 +79,9 @@ class PlanOptions:
     proposals: bool = True
     """With the learned distance: let the rollout of the policy that was trained with it join
     the samples, which keeps the search near states that d has seen. Other costs go without."""
+    greedy_proposals: bool = False
+    """With the learned distance: let a rollout that takes the action of least d(s, a, g) at every step join the
+    samples. It needs no good policy, only a good distance."""
     checkpoint: Path | None = None
     """A file or folder written by napsp.train, or the name of one that ships, such as
     fetch_pick_place_first_arrival; default: the one that ships for the task.
@@ -146,9 +149,8 @@ class PlanOptions:
         """Short hash of how plans are made: equal hashes plan alike with equal checkpoints and seeds."""
         elsewhere = ("episodes", "seed", "checkpoint", "out", "video", "video_episodes", "render", "threads")
         # Added after results existed: without them, plans are made as before.
-        idle = [k for k, v in (("smooth", self.smooth), ("low_pass", self.low_pass)) if not v]
+        idle = [name for name in SWITCHES if not getattr(self, name)]
         idle += [] if self.smooth else [k for k in asdict(self) if k.startswith("smooth_")]
-        idle += [k for k, v in (("pessimism", self.pessimism), ("ensemble", self.ensemble)) if not v]
         idle += ["planning_model", "planning_substeps"] if self.planning_model == "exact" else []
         asked = {k: v for k, v in asdict(self).items() if k not in elsewhere and k not in idle}
         asked |= {"env": canonical_name(self.env), "horizon": self.steps_ahead}
@@ -200,102 +202,11 @@ class PlanOptions:
             raise UserError(f"--smooth-multiples is {multiples}; give one or more positive numbers of at most 1e+06")
         if self.smooth and self.low_pass:
             raise UserError("--smooth and --low-pass exclude each other; use one of them")
-        if self.cost != "distance" and (self.pessimism or self.ensemble):
-            option = "--pessimism" if self.pessimism else "--ensemble"
-            raise UserError(f"{option} needs --cost distance: {self.cost} is no learned distance")
+        for name in ("pessimism", "ensemble", "greedy_proposals"):
+            if self.cost != "distance" and getattr(self, name):
+                option = f"--{name.replace('_', '-')}"
+                raise UserError(f"{option} needs --cost distance: {self.cost} is no learned distance")
         if self.planning_model == "exact" and self.planning_substeps is not None:
             raise UserError(
                 "--planning-substeps needs --planning-model coarse: the exact one has the environment's own"
             )
-
-
-@dataclass(frozen=True)
-class MPPIOptions(PlanOptions):
-    """Plan with MPPI: the exponentially weighted mean of noisy plans."""
-
-    noise_scale: float = 0.8
-    """Standard deviation of the sampled noise; actions lie in [-1, 1]."""
-    noise_correlation: float = 0.6
-    """Correlation of the noise between neighbouring knots."""
-    temperature: float = 0.2
-    """MPPI's lambda, in standard deviations of the sampled costs."""
-
-
-@dataclass(frozen=True)
-class CEMOptions(PlanOptions):
-    """Plan with the cross-entropy method: a Gaussian refitted to the best samples."""
-
-    samples: int = 21
-    """Plans per refinement."""
-    refinements: int = 3
-    """Rounds of sampling per plan."""
-    elites: int = 6
-    """How many of the best plans the Gaussian is fitted to."""
-    noise_scale: float = 0.8
-    """Standard deviation before the first refinement; actions lie in [-1, 1]."""
-    min_noise_scale: float = 0.05
-    """The deviation does not shrink below this."""
-    momentum: float = 0.1
-    """Weight of the old mean and deviation in the new ones."""
-
-
-@dataclass(frozen=True)
-class ICEMOptions(PlanOptions):
-    """Plan with iCEM: the cross-entropy method with coloured noise and kept elites."""
-
-    samples: int = 26
-    """Plans in the first refinement; later ones get fewer (--decay)."""
-    refinements: int = 3
-    """Rounds of sampling per plan."""
-    decay: float = 1.25
-    """Factor between the samples of one refinement and the next."""
-    elites: int = 6
-    """How many of the best plans the Gaussian is fitted to."""
-    kept: float = 0.3
-    """Share of the elites that is tried again, in the next refinement and the next step."""
-    noise_scale: float = 0.5
-    """Standard deviation before the first refinement; actions lie in [-1, 1]."""
-    noise_exponent: float = 3.0
-    """How fast the noise's power falls with frequency; 0 is white noise."""
-    momentum: float = 0.1
-    """Weight of the old mean and deviation in the new ones."""
-
-
-@dataclass(frozen=True)
-class PredictiveSamplingOptions(PlanOptions):
-    """Plan with predictive sampling: noise around the best plan so far."""
-
-    noise_scale: float = 0.8
-    """Standard deviation of the sampled noise; actions lie in [-1, 1]."""
-    noise_correlation: float = 0.6
-    """Correlation of the noise between neighbouring knots."""
-
-
-@dataclass(frozen=True)
-class SmoothOptions(PlanOptions):
-    """Plan with the smoothing layer alone: it improves one plan from step to step, without any search."""
-
-    start: Literal["policy", "zero"] = "policy"
-    """What is smoothed: the cheaper of the last plan and the policy's own rollout, or the last plan only, which
-    starts at zero."""
-    samples: int = 2
-    """The plan, and the policy's rollout."""
-    smooth: bool = True
-    """Smoothing is what this command does."""
-    smooth_multiples: tuple[float, ...] | None = (1.0,)
-    """Solve with changes weighed so many times as heavily, and verify all answers together."""
-    smooth_choice: float | None = 1.0
-    """Weight of smoothness against the planner's own cost in choosing between plans; 1 is the problem's own."""
-    smooth_rounds: int = 3
-    """Linearise, solve and verify so many times per plan."""
-    smooth_accept: Literal["smoother", "better"] = "better"
-    """As for the other planners; without a search, the layer has to find the way as well."""
-
-
-OPTIONS: dict[str, type[PlanOptions]] = {
-    "mppi": MPPIOptions,
-    "cem": CEMOptions,
-    "icem": ICEMOptions,
-    "predictive_sampling": PredictiveSamplingOptions,
-    "smooth": SmoothOptions,
-}

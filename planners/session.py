@@ -14,7 +14,7 @@ from mpc.controller import Controller, Plan, Planner, Smoother
 from mpc.cost import Cost
 from mpc.filters import LowPass
 from mpc.motion import action_rate, jerk
-from mpc.rollout import RolloutEngine
+from mpc.rollout import Actor, RolloutEngine
 from mpc.speed import raw_speed_fraction
 from napsp import envs as tasks
 from napsp.checkpoint import Model, git_revision
@@ -23,6 +23,7 @@ from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.lean import lean, refresh
 from napsp.errors import UserError
 from napsp.greedy import GreedyPolicy
+from napsp.greedy_distance import GreedyDistance
 from planners.cem import CEM
 from planners.episode import EpisodeResult, Step
 from planners.estimates import load_models, steps_to_go
@@ -103,7 +104,7 @@ class Session:
             options.knots,
             options.interpolation,
             options.refinements,
-            GreedyPolicy(model.policy) if options.proposals and model else None,
+            _proposers(options, model, n_actions),
             _smoother(options, engine, cost, model, horizon, n_actions),
         )
         return cls(planner, options, env, env_name, controller, models)
@@ -218,6 +219,16 @@ class Session:
         """Stop threads and release the environment."""
         self.controller.engine.close()
         self.env.close()
+
+
+def _proposers(options: PlanOptions, model: Model | None, n_actions: int) -> list[Actor]:
+    """Whose own rollouts join the samples."""
+    actors: list[Actor] = []
+    if model is not None and options.proposals:
+        actors.append(GreedyPolicy(model.policy))
+    if model is not None and model.distance is not None and options.greedy_proposals:
+        actors.append(GreedyDistance(model.distance, n_actions))
+    return actors
 
 
 def make_planner(name: str, options: Any, n_knots: int, n_controls: int) -> Planner:

@@ -22,7 +22,7 @@ from napsp.greedy import GreedyPolicy
 from planners.cli import run
 from planners.defaults import PLANNING_SUBSTEPS
 from planners.mppi import MPPI
-from planners.options import MPPIOptions
+from planners.search_options import MPPIOptions
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -106,7 +106,7 @@ def test_the_policys_rollout_is_followed_in_the_planning_model(worlds):
     )
     with RolloutEngine(coarse(world.dynamics, 5), 1) as engine:
         known = engine.follow(state, observation, actor, 5)
-        copied, simulated = (engine.rollout(state, known.actions[None], k) for k in (known, None))
+        copied, simulated = (engine.rollout(state, known.actions[None], k) for k in ([known], []))
     np.testing.assert_array_equal(copied.observations, simulated.observations)
     assert not copied.diverged.any()
 

@@ -15,7 +15,7 @@ from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, shipped_model
 from napsp.errors import UserError
 from napsp.statistics import wilson_interval
 from planners.cli import run
-from planners.options import MPPIOptions
+from planners.search_options import MPPIOptions
 
 ROOT = Path(__file__).parent.parent
 SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")

@@ -150,7 +150,7 @@ def test_policy_proposals_join_the_samples(worlds):
     world = worlds["point_maze"]
     observation, _ = world.reset(seed=0)
     control = controller(world)
-    control._proposals_from = lambda observations, goals: np.full((1, 2), 0.25, np.float32)
+    control._proposals_from = [lambda observations, goals: np.full((1, 2), 0.25, np.float32)]
     seen = []
     sample = control.planner.sample
     control.planner.sample = lambda rng, proposals: seen.append(proposals) or sample(rng, proposals)
@@ -187,12 +187,12 @@ def test_a_followed_rollout_is_reused_only_for_its_own_actions(worlds):
             actions = np.random.default_rng(0).uniform(-1, 1, (4, 5, size)).astype(np.float32)
             actions[2] = followed.actions
             simulated = engine.rollout(state, actions)
-            reused = engine.rollout(state, actions, followed)
+            reused = engine.rollout(state, actions, [followed])
             np.testing.assert_array_equal(simulated.observations, reused.observations)
             np.testing.assert_array_equal(simulated.achieved_goals, reused.achieved_goals)
             assert not reused.diverged.any()
             marked = replace(followed, features=followed.features + 1.0, times=np.zeros(5))
-            reused = engine.rollout(state, actions, marked)
+            reused = engine.rollout(state, actions, [marked])
         changed = (simulated.achieved_goals != reused.achieved_goals).any((1, 2))
         np.testing.assert_array_equal(changed, [False, False, True, False])
         np.testing.assert_array_equal(reused.diverged, [False, False, True, False])

@@ -11,7 +11,7 @@ from mpc.rollout import RolloutEngine
 from napsp.envs.coarse import coarse
 from napsp.envs.fetch import FetchReachWallEnv
 from napsp.envs.lean import lean, refresh
-from planners.options import MPPIOptions
+from planners.search_options import MPPIOptions
 from planners.session import Session
 
 

@@ -14,7 +14,7 @@ from napsp.errors import UserError
 from napsp.resume import STATE_FILE
 from napsp.train import train
 from planners.cli import run
-from planners.options import MPPIOptions
+from planners.search_options import MPPIOptions
 
 GOAL = np.array([0.5, 0.5])
 

@@ -15,7 +15,8 @@ from napsp import envs
 from napsp.envs.open_loop import OpenLoopEnv
 from planners.cli import run
 from planners.maze_map import steps_field
-from planners.options import MPPIOptions, PlanOptions, PredictiveSamplingOptions
+from planners.options import PlanOptions
+from planners.search_options import MPPIOptions, PredictiveSamplingOptions
 from planners.session import Session
 
 SMALL = ("--env", "point_maze", "--samples", "8", "--horizon", "4", "--no-video", "--threads", "1")

@@ -1,0 +1,70 @@
+"""Following d downhill: a = argmin_a d(s, a, g)."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+
+from napsp.checkpoint import load_model, shipped_model
+from napsp.greedy_distance import GreedyDistance
+from napsp.networks import DistanceNetwork
+from planners.search_options import OPTIONS
+from planners.session import Session
+
+
+class Bowl(DistanceNetwork):
+    """|a - (s + g)|^2: the best action is known."""
+
+    def forward(self, observation, action, goal):
+        return (action - observation - goal).square().sum(-1)
+
+
+def test_the_least_distance_is_found_to_a_quarter_of_the_candidates_spacing():
+    greedy = GreedyDistance(Bowl((2, 2, 2), (4,), 50), 2)
+    rng = np.random.default_rng(0)
+    observations, goals = rng.uniform(-0.4, 0.4, (2, 20, 2)).astype(np.float32)
+    np.testing.assert_allclose(greedy(observations, goals), observations + goals, atol=0.15)
+    far = greedy(observations + 5, goals)
+    np.testing.assert_allclose(far, 1.0, atol=0.1)
+    assert np.abs(far).max() <= 1.0
+
+
+def test_on_a_trained_distance_it_beats_a_fine_grid_and_does_not_depend_on_the_batch():
+    distance = load_model(shipped_model("point_maze"), "point_maze").distance
+    greedy = GreedyDistance(distance, 2)
+    rng = np.random.default_rng(1)
+    observations = np.concatenate([rng.uniform(0.1, 1.9, (8, 2)), np.zeros((8, 2))], 1).astype(np.float32)
+    goals = rng.uniform(0.1, 1.9, (8, 2)).astype(np.float32)
+    found = greedy(observations, goals)
+    np.testing.assert_allclose(greedy(observations[3:4], goals[3:4])[0], found[3], atol=1e-4)
+    grid = torch.tensor(list(itertools.product(np.linspace(-1, 1, 9), repeat=2)), dtype=torch.float32)
+    rows = torch.from_numpy(observations), torch.from_numpy(goals)
+    with torch.inference_mode():
+        least = torch.stack([distance(rows[0], action.expand(8, -1), rows[1]) for action in grid]).amin(0)
+        steps = distance(rows[0], torch.from_numpy(found), rows[1])
+    assert (steps <= least + 0.5).all()
+
+
+def test_greedy_proposals_join_the_samples_and_are_the_same_every_time():
+    plans = []
+    for _ in range(2):
+        options = OPTIONS["mppi"](
+            env="point_maze", samples=4, horizon=4, threads=1, proposals=False, greedy_proposals=True
+        )
+        session = Session.open("mppi", options)
+        seen = []
+        sample = session.controller.planner.sample
+        session.controller.planner.sample = lambda rng, proposals: seen.append(proposals) or sample(rng, proposals)  # noqa: B023
+        observation, _ = session.env.reset(seed=0)
+        plan = session.controller.plan(session.env.unwrapped, observation)
+        session.close()
+        assert seen[0].shape == (1, 4, 2)
+        plans.append(np.concatenate([seen[0][0], plan.actions]))
+    np.testing.assert_array_equal(*plans)
+
+
+@pytest.mark.parametrize("changed", [{}, {"greedy_proposals": True}])
+def test_earlier_plans_keep_their_hash(changed):
+    hashes = {OPTIONS["mppi"](env="fetch_wall", **options).hash() for options in ({}, changed)}
+    assert len(hashes) == 1 + bool(changed)
