@@ -20,6 +20,7 @@ import tyro
 from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
 from benchmarks.curves import line_of
 from mpc.motion import action_rate
+from mpc.rollout import available_cores
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
 from napsp.config import TrainConfig
@@ -148,7 +149,7 @@ def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, op
         else:
             settings = plan_options(config.env, planner, budget, proposals, checkpoint, options.seed)
             figures = run_planner(settings, planner, seeds)
-        append_result(FILE, {**key, **figures, "revision": git_revision()})
+        append_result(FILE, {**key, **figures, "revision": git_revision(), "cores": available_cores()})
         row = find(read_results(FILE), key)
     assert row is not None
     return dict(row)

@@ -114,7 +114,8 @@ def versus_table() -> list[str]:
     lines = [
         "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
         "",
-        "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements.",
+        "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements. Times are",
+        "of two cores unless one is named, some of them with other work beside.",
         "",
         "| task | training | episodes | planner | policy's rollout among the samples | budget | success | steps to goal | action rate | ms per plan |",
         "|---|---|---|---|---|---|---|---|---|---|",
@@ -126,7 +127,7 @@ def versus_table() -> list[str]:
             f"| {row['env']} | {row['training']} | {row['training_episodes']} | {row['planner']} "
             f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
             f"| {_success(row)} | {steps} "
-            f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f} |"
+            f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f}{' (1 core)' if row.get('cores') == '1' else ''} |"
         )
     for path in sorted(RESULTS.glob("policy_vs_mpc_*.png")):
         lines += ["", f"![Success of policy and planners on {path.stem.removeprefix('policy_vs_mpc_')}]({path})"]
