@@ -8,8 +8,9 @@ from pathlib import Path
 from benchmarks.cells import RESULTS, read_results
 from benchmarks.curves import LINES, MORE_UPDATES, current_runs
 from benchmarks.sweep import PAPER_TASKS
-from napsp.config import METHODS
+from napsp.config import METHODS, from_dict
 from napsp.presets import preset
+from napsp.record import command_line
 from napsp.statistics import describe, interquartile_mean
 
 
@@ -32,7 +33,7 @@ def training_table() -> list[str]:
         record = json.loads(path.read_text())
         final = record["final"]
         lines.append(
-            f"| {path.parent.name} | `{record['command']}` | {record['episodes']:.0f} | {record['minutes']:.1f} "
+            f"| {path.parent.name} | `{command_line(from_dict(record['config']))}` | {record['episodes']:.0f} | {record['minutes']:.1f} "
             f"| {final['success_rate']:.2f} | {final.get('distance_at_goal', float('nan')):.1f} |"
         )
     return lines
