@@ -27,13 +27,16 @@ def folded(lines: list[str]) -> list[str]:
     return ["<details>", f"<summary><b>{title}</b></summary>", *lines[1:], "", "</details>"]
 
 
-def main() -> int:
-    """Replace the part of the README between the two markers."""
+def updated(text: str) -> str:
+    """The README's ``text`` with the part between the two markers made anew."""
     tables = [table() for table in OPEN] + [folded(lines) for table in FOLDED if (lines := table())]
     body = "\n\n".join("\n".join(lines) for lines in tables)
-    text = README.read_text()
-    before, after = text.split(START)[0], text.split(END)[1]
-    write_atomically(README, f"{before}{START}\n\n{body}\n\n{END}{after}".encode())
+    return f"{text.split(START)[0]}{START}\n\n{body}\n\n{END}{text.split(END)[1]}"
+
+
+def main() -> int:
+    """Write the results into the README."""
+    write_atomically(README, updated(README.read_text()).encode())
     print(f"{README} updated from results/")
     return 0
 
