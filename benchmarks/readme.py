@@ -31,7 +31,7 @@ def updated(text: str) -> str:
     """The README's ``text`` with the part between the two markers made anew."""
     tables = [table() for table in OPEN] + [folded(lines) for table in FOLDED if (lines := table())]
     body = "\n\n".join("\n".join(lines) for lines in tables)
-    return f"{text.split(START)[0]}{START}\n\n{body}\n\n{END}{text.split(END)[1]}"
+    return f"{text.split(START, maxsplit=1)[0]}{START}\n\n{body}\n\n{END}{text.split(END)[1]}"
 
 
 def main() -> int:
