@@ -30,7 +30,7 @@ COLORS = dict(zip(LINES, ("tab:gray", "tab:orange", "tab:blue", "tab:red", "tab:
 MORE_UPDATES = {
     f"{name}, 2 episodes per iteration": {**options, "episodes_per_iteration": 2} for name, options in LINES.items()
 }
-"""Pick and place with four times the updates per episode: in tables where it was run, not in the figures."""
+"""On pick and place four times the updates per episode: in tables where it was run, not in the figures."""
 
 
 def line_of(env: str, config_hash: str, n_episodes: int) -> str | None:

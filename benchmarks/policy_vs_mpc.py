@@ -29,7 +29,7 @@ from napsp.errors import UserError, run_command
 from napsp.greedy import GreedyPolicy
 from napsp.presets import preset
 from napsp.record import save_figure
-from napsp.statistics import describe, paired_difference, wilson_interval
+from napsp.statistics import describe, paired_proportions, wilson_interval
 from planners.options import PlanOptions
 from planners.search_options import OPTIONS
 from planners.session import Session
@@ -59,6 +59,8 @@ class VersusOptions:
     """Training episodes of the checkpoint; default the task's preset."""
     first_arrival: bool = False
     """Train the checkpoint with labels of first arrival, see napsp.train."""
+    episodes_per_iteration: int | None = None
+    """Training episodes per iteration of the checkpoint; default the task's preset."""
     progress: tuple[int, ...] = ()
     """Also checkpoints of runs that stop after these many training episodes."""
     episodes: int = 50
@@ -119,7 +121,9 @@ def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
     """Configuration, planner ("policy" for none), budget, proposals."""
     env_name, found = tasks.canonical_name(options.env), []
     length: dict[str, Any] = {"n_episodes": options.training_episodes} if options.training_episodes else {}
-    asked = {"seed": options.training_seed, "first_arrival": options.first_arrival}
+    asked: dict[str, Any] = {"seed": options.training_seed, "first_arrival": options.first_arrival}
+    if options.episodes_per_iteration is not None:
+        asked["episodes_per_iteration"] = options.episodes_per_iteration
     configs = [preset(env_name, **asked, **length)]
     configs += [preset(env_name, **asked, n_episodes=n) for n in options.progress]
     for config in configs:
@@ -172,7 +176,7 @@ def draw(env_name: str) -> Path | None:
         lines: dict[str, list[tuple[int, float]]] = {}
         for row in rows:
             name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
-            name += row["training"].removeprefix("ours")  # ", first arrival" or nothing
+            name += row["training"].removeprefix("ours")  # named options, if any
             if (int(row["training_episodes"]) == last) if x == "budget" else (row["budget"] in ("0", "64")):
                 lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
         if any(len(points) > 1 for points in lines.values()):
@@ -211,7 +215,7 @@ def main() -> int:
         n, successes = len(row["successes"]), row["successes"]
         policy.setdefault(config.n_episodes, successes)
         interval = describe(float(row["success_rate"]), wilson_interval(successes.count("1"), n))
-        mean, (low, high) = paired_difference(_bits(successes), _bits(policy[config.n_episodes]))
+        mean, (low, high) = paired_proportions(_bits(successes), _bits(policy[config.n_episodes]))
         name = f"{planner}{' + policy' if proposals else ''}"
         training = f"{config.n_episodes} episodes{', first arrival' if config.first_arrival else ''}"
         print(f"{config.env} after {training}  {name:30s} {budget:5d} plans  success {interval}  "

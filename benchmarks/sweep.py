@@ -40,7 +40,9 @@ class SweepOptions:
     n_episodes: int | None = None
     """Training episodes of every cell; None takes each task's own."""
     first_arrival: bool = False
-    """Label with steps of first arrival, see napsp.train; sparse, which learns no distance, is left as it is."""
+    """Train ours with labels of first arrival, see napsp.train; the other methods stay as they are."""
+    episodes_per_iteration: int | None = None
+    """Episodes collected per iteration; None takes each task's own. Updates are per iteration."""
     again: bool = False
     """Also train cells whose curves are in results/runs already; those stay as they are there."""
     jobs: int = 1
@@ -55,9 +57,10 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
     for seed in range(options.seeds):
         for env in options.envs:
             for method in options.methods:
-                asked: dict[str, Any] = {"first_arrival": options.first_arrival and method != "sparse"}
-                if options.n_episodes is not None:
-                    asked["n_episodes"] = options.n_episodes
+                asked: dict[str, Any] = {"first_arrival": options.first_arrival and method == "ours"}
+                for name in ("n_episodes", "episodes_per_iteration"):
+                    if getattr(options, name) is not None:
+                        asked[name] = getattr(options, name)
                 yield preset(tasks.canonical_name(env), method=method, seed=seed, **asked)
 
 

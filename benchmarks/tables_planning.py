@@ -9,51 +9,56 @@ from benchmarks.curves import line_of
 from benchmarks.sweep import PAPER_TASKS
 from napsp.config import METHODS
 from napsp.presets import preset
-from napsp.statistics import describe, paired_difference, wilson_interval
+from napsp.statistics import describe, paired_proportions, wilson_interval
+
+EPISODES, SEED = "50", "90000"  # of the rows that the first table compares
 
 
 def glance_table() -> list[str]:
-    """One line per task: what the straight line, the policy and the best planner with d come to."""
-    costs = {
-        row["env"]: row for row in read_results(RESULTS / "distance_as_cost.csv") if "euclidean, mean" in row["variant"]
-    }
+    """One line per task: what the straight line, the policy and a planner with d come to."""
     lines = [
         "### At a glance",
         "",
-        "Success in the last step on 50 fresh episodes, 95 % Wilson interval. *Planner* is the best of those run with the learned",
-        "distance, 64 simulated plans per control step, the policy's rollout among them; *straight line* is MPPI with that cost at the",
-        "same budget (on 50 other fresh episodes). Policy and planner share one training run.",
+        "Success in the last step on 50 fresh episodes, 95 % Wilson interval. The planner is MPPI, for pick and place iCEM, with the",
+        "learned distance, 64 simulated plans per control step, the policy's rollout among them; *straight line* is MPPI with that cost and",
+        "64 plans on 50 other fresh episodes. *Planner minus policy* compares the same episodes (Newcombe's paired 95 % interval). Policy and",
+        "distance come from one training run per task, so the intervals do not cover the spread between runs. *Steps to goal* average over",
+        "the episodes that got there at all.",
         "",
         "| task | training episodes | straight line | policy | planner | planner minus policy | steps to goal, policy / planner |",
         "|---|---|---|---|---|---|---|",
     ]
-    rows = [
-        row for row in _versus_rows() if (row["budget"], row["proposals"]) == ("64", "1") or row["planner"] == "policy"
-    ]
-    for env in PAPER_TASKS:
-        runs: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
-        for row in rows:
-            if row["env"] == env:
-                runs[row["training_hash"], row["training_seed"]].append(row)
-        compared = [run for run in runs.values() if len({row["planner"] == "policy" for row in run}) == 2]
-        if not compared:
-            lines.append(f"| {env} | not run |  |  |  |  |  |")
-            continue
-        run = max(compared, key=lambda run: int(run[0]["training_episodes"]))
-        policy = next(row for row in run if row["planner"] == "policy")
-        best = min((row for row in run if row["planner"] != "policy"), key=_worse)
-        gain, (low, high) = paired_difference(*([float(hit) for hit in row["successes"]] for row in (best, policy)))
-        line = _success(costs[env]) if env in costs else "not run"
-        lines.append(
-            f"| {env} | {policy['training_episodes']}{policy['training'].removeprefix('ours')} | {line} | {_success(policy)} "
-            f"| {_success(best)} {best['planner']} | {gain:+.2f} [{low:+.2f}, {high:+.2f}] "
-            f"| {float(policy['mean_steps_to_goal']):.1f} / {float(best['mean_steps_to_goal']):.1f} |"
-        )
+    lines += [f"| {env} | {' | '.join(_glance(env))} |" for env in PAPER_TASKS]
     return lines
 
 
-def _worse(row: dict[str, str]) -> tuple[float, float]:
-    return -float(row["success_rate"]), float(row["mean_steps_to_goal"] or "inf")
+def _glance(env: str) -> list[str]:
+    """Cells of a task's line: of its training with the most episodes that both policy and planner were run with."""
+    planner = "icem" if "pick_place" in env else "mppi"
+    runs: dict[tuple[str, str], dict[str, dict[str, str]]] = defaultdict(dict)
+    for row in _versus_rows():
+        settings = (row["budget"], row["proposals"]) == ("64", "1") or row["planner"] == "policy"
+        if settings and (row["env"], row["episodes"], row["seed"]) == (env, EPISODES, SEED):
+            runs[row["training_hash"], row["training_seed"]][row["planner"]] = row
+    straight = [
+        _success(row)
+        for row in read_results(RESULTS / "distance_as_cost.csv")
+        if (row["env"], row["variant"]) == (env, "euclidean, mean along the plan")
+        and (row["samples"], row["episodes"]) == ("64", EPISODES)
+    ]
+    line = straight[-1] if straight else "not run"
+    compared = [run for run in runs.values() if {"policy", planner} <= run.keys()]
+    if not compared:
+        return ["not run", line, "", "", "", ""]
+    run = max(compared, key=lambda run: int(run["policy"]["training_episodes"]))
+    policy, plans = run["policy"], run[planner]
+    gain, (low, high) = paired_proportions(*([float(hit) for hit in row["successes"]] for row in (plans, policy)))
+    steps = [f"{float(row['mean_steps_to_goal'] or 'nan'):.1f}" for row in (policy, plans)]
+    return [
+        policy["training_episodes"] + policy["training"].removeprefix("ours"),
+        line, _success(policy), f"{_success(plans)} {planner}", f"{gain:+.2f} [{low:+.2f}, {high:+.2f}]",
+        " / ".join(steps).replace("nan", "-"),
+    ]  # fmt: skip
 
 
 def _success(row: dict[str, str]) -> str:
@@ -106,6 +111,11 @@ def _versus_rows() -> list[dict[str, str]]:
     return rows
 
 
+def _cores(row: dict[str, str]) -> str:
+    cores = row.get("cores") or "2"
+    return "" if cores == "2" else f" ({cores} core{'s' if cores != '1' else ''})"
+
+
 def versus_table() -> list[str]:
     """The policy against planners with the same distance."""
     rows = sorted(
@@ -114,8 +124,8 @@ def versus_table() -> list[str]:
     lines = [
         "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
         "",
-        "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements. Times are",
-        "of two cores unless one is named, some of them with other work beside.",
+        "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements (iCEM 62, CEM 63 of",
+        "64). Times are of two cores unless others are named, some of them with other work beside.",
         "",
         "| task | training | episodes | planner | policy's rollout among the samples | budget | success | steps to goal | action rate | ms per plan |",
         "|---|---|---|---|---|---|---|---|---|---|",
@@ -127,7 +137,7 @@ def versus_table() -> list[str]:
             f"| {row['env']} | {row['training']} | {row['training_episodes']} | {row['planner']} "
             f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
             f"| {_success(row)} | {steps} "
-            f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f}{' (1 core)' if row.get('cores') == '1' else ''} |"
+            f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f}{_cores(row)} |"
         )
     for path in sorted(RESULTS.glob("policy_vs_mpc_*.png")):
         lines += ["", f"![Success of policy and planners on {path.stem.removeprefix('policy_vs_mpc_')}]({path})"]

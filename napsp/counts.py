@@ -12,7 +12,7 @@ import numpy as np
 from napsp.buffer import Episodes
 from napsp.scaling import Scaling
 
-RECOUNT_CHUNK = 200  # episodes; their pairs i < j fill some tens of megabytes
+RECOUNT_CHUNK = 200  # episodes; the keys of their pairs i < j fill 2 MB at T = 50, 400 MB at T = 700
 
 
 class HashedCounts:

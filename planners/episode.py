@@ -46,7 +46,8 @@ class EpisodeResult:
         achieved_goals: the way that was taken, ``(T + 1, G)``.
         desired_goal: where to, ``(G,)``.
         action_rate: mean squared change from one action to the next.
-        jerk: root mean square of the end effector's jerk, m/s^3 (claw: of its joints, rad/s^3).
+        jerk: root mean square of the end effector's jerk, m/s^3 (claw: of its joints, rad/s^3; tasks that
+            this package does not know: of the first three coordinates of the achieved goal).
         seconds: wall time of the episode.
     """
 

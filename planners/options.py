@@ -81,7 +81,8 @@ class PlanOptions:
     the samples, which keeps the search near states that d has seen. Other costs go without."""
     greedy_proposals: bool = False
     """With the learned distance: let a rollout that takes the action of least d(s, a, g) at every step join the
-    samples. It needs no good policy, only a good distance."""
+    samples. It asks the checkpoint's own d, without --ensemble and --pessimism, and costs about half a millisecond
+    per step of the plan."""
     checkpoint: Path | None = None
     """A file or folder written by napsp.train, or the name of one that ships, such as
     fetch_pick_place_first_arrival; default: the one that ships for the task.

@@ -42,8 +42,8 @@ PLANNERS: dict[str, Any] = {
 }
 
 
-# Where the end effector is stands first in the observations of this package's tasks: the grip's position on Fetch.
-N_EFFECTOR = dict.fromkeys(tasks.TASKS, 3) | {"point_maze": 2, "point_maze_long": 2, "claw": 9}
+N_EFFECTOR = {"point_maze": 2, "point_maze_long": 2, "claw": 9}
+"""Where the end effector is stands first in an observation; on Fetch, stock or not, the grip's position."""
 
 
 class Watcher(Protocol):
@@ -169,9 +169,11 @@ class Session:
         )
 
     def _effector(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        n = N_EFFECTOR.get(self.env_name, 3 if self.env_name.lower().startswith("fetch") else 0)
+        if n:
+            return observation["observation"][:n]
         # Of other tasks nothing is known but that the goal is about what they move.
-        n = N_EFFECTOR.get(self.env_name)
-        return observation["achieved_goal"] if n is None else observation["observation"][:n]
+        return self.env.unwrapped.goal_positions(observation["achieved_goal"])
 
     def _to_go(self, observation: dict[str, np.ndarray], plan: Plan) -> float:
         cost = self.controller.cost
@@ -226,7 +228,7 @@ def _proposers(options: PlanOptions, model: Model | None, n_actions: int) -> lis
     actors: list[Actor] = []
     if model is not None and options.proposals:
         actors.append(GreedyPolicy(model.policy))
-    if model is not None and model.distance is not None and options.greedy_proposals:
+    if options.greedy_proposals and model is not None and model.distance is not None:
         actors.append(GreedyDistance(model.distance, n_actions))
     return actors
 
@@ -251,6 +253,10 @@ def _planned_dynamics(options: PlanOptions, world: Any) -> Dynamics:
     dynamics = lean(world.dynamics, spec, world.action_space.shape[0])
     if options.planning_model == "exact":
         return dynamics
+    if own == 1:
+        raise UserError(
+            f"{options.env} has one physics step per control step, none to leave out; plan in the exact model"
+        )
     if (options.planning_substeps or 1) > own:
         raise UserError(
             f"--planning-substeps {options.planning_substeps} exceeds the {own} of {options.env}; use fewer"

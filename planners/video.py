@@ -15,6 +15,7 @@ from mpc.controller import Plan
 
 WIDTH, HEIGHT, FRAMES_PER_SECOND = 640, 480, 12
 SHOWN_PLANS = 24
+LINE_WIDTH = 0.002  # radius of a plan's line, seen from one metre
 GOAL_COLOR = (0.1, 0.75, 0.2, 0.9)
 
 
@@ -42,7 +43,9 @@ class Video:
         for geom in range(self._model.ngeom):
             if self._model.body_mocapid[self._model.geom_bodyid[geom]] >= 0:
                 self._model.geom_rgba[geom, 3] = 0.0  # Fetch draws its mocap anchor as a large cross
-        self._model.site_rgba[:, 3] = 0.0
+        for site in range(self._model.nsite):
+            if "target" in (mujoco.mj_id2name(self._model, mujoco.mjtObj.mjOBJ_SITE, site) or ""):
+                self._model.site_rgba[site, 3] = 0.0  # stock goals; the goal is drawn here, with its radius
         wall = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, "wall")
         if wall >= 0:
             self._model.geom_rgba[wall, 3] = 0.35  # the goal lies behind it
@@ -82,12 +85,13 @@ class Video:
 
     def _draw_plans(self, plan: Plan) -> None:
         order = plan.cheapest(SHOWN_PLANS)
+        width = LINE_WIDTH * (self._camera.distance if isinstance(self._camera, mujoco.MjvCamera) else 1.0)
         for rank in range(len(order) - 1, -1, -1):  # the best on top
             badness = rank / max(1, len(order) - 1)
             color = (0.15 + 0.8 * badness, 0.35, 0.95 - 0.75 * badness, 0.9 - 0.6 * badness)
             points = self._world.goal_positions(plan.trajectories.achieved_goals[order[rank]])
             for start, end in pairwise(points):
-                self._segment(start, end, 0.003 if rank else 0.006, color)
+                self._segment(start, end, width if rank else 2.0 * width, color)
 
     def _sphere(self, position: np.ndarray, radius: float, color: tuple[float, ...]) -> None:
         geom = self._next_geom()

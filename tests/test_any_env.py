@@ -91,7 +91,11 @@ def test_mazes_are_reached_where_stock_says_so_and_seen_as_a_whole():
     goals = world.goal + np.array([[0.0, 0.44], [0.3, 0.3], [0.0, 0.46], [0.4, 0.4]])
     assert world.reached(goals, world.goal).tolist() == [True, True, False, False]
     assert world.compute_reward(goals, np.tile(world.goal, (4, 1)), {}).tolist() == [0, 0, -1, -1]
-    assert world.camera.distance > world.model.stat.extent
+    angle = np.deg2rad(world.model.vis.global_.fovy / 2)  # the whole extent fits in the height of a picture
+    assert world.camera.distance * np.tan(angle) > 0.45 * world.model.stat.extent
+    np.testing.assert_array_equal(world.camera.lookat, world.model.stat.center)
+    world.goal = np.array([0.5, -0.5])
+    np.testing.assert_array_equal(world.model.site("target").pos[:2], [0.5, -0.5])
     world.close()
 
 

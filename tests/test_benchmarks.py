@@ -11,7 +11,7 @@ from test_train import tiny
 
 from benchmarks import cells, curves, smoothing, sweep
 from napsp.presets import preset
-from napsp.statistics import describe, interquartile_mean, paired_difference
+from napsp.statistics import describe, interquartile_mean, paired_difference, paired_proportions
 
 
 @pytest.fixture
@@ -97,6 +97,17 @@ def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "smoothing_point_maze.png").read_bytes()[:4] == b"\x89PNG"
     monkeypatch.setattr(smoothing, "run_cell", lambda *_: pytest.fail("a finished cell was run again"))
     assert smoothing.main() == 0
+
+
+def test_paired_proportions_equal_a_published_example_and_never_shrink_to_a_point():
+    # Newcombe (1998): 36, 12, 2 and 0 pairs have 0.0569 to 0.3404 by method 10.
+    first = [1] * 36 + [1] * 12 + [0] * 2
+    second = [1] * 36 + [0] * 12 + [1] * 2
+    mean, (low, high) = paired_proportions(first, second)
+    assert (mean, low, high) == pytest.approx((0.2, 0.0569, 0.3404), abs=5e-5)
+    assert paired_proportions(second, first)[1] == pytest.approx((-high, -low))
+    mean, (low, high) = paired_proportions([1] * 50, [1] * 50)
+    assert mean == 0 and low == -high and 0.05 < high < 0.1, "Wilson's interval of 50 of 50 begins at 0.929"
 
 
 def test_paired_difference_and_its_interval():

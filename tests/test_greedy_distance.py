@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-import pytest
 import torch
 
 from napsp.checkpoint import load_model, shipped_model
@@ -20,17 +19,17 @@ class Bowl(DistanceNetwork):
         return (action - observation - goal).square().sum(-1)
 
 
-def test_the_least_distance_is_found_to_a_quarter_of_the_candidates_spacing():
+def test_the_least_distance_of_a_bowl_is_found():
     greedy = GreedyDistance(Bowl((2, 2, 2), (4,), 50), 2)
     rng = np.random.default_rng(0)
     observations, goals = rng.uniform(-0.4, 0.4, (2, 20, 2)).astype(np.float32)
-    np.testing.assert_allclose(greedy(observations, goals), observations + goals, atol=0.15)
+    np.testing.assert_allclose(greedy(observations, goals), observations + goals, atol=0.08)
     far = greedy(observations + 5, goals)
     np.testing.assert_allclose(far, 1.0, atol=0.1)
     assert np.abs(far).max() <= 1.0
 
 
-def test_on_a_trained_distance_it_beats_a_fine_grid_and_does_not_depend_on_the_batch():
+def test_on_a_trained_distance_it_equals_a_grid_of_actions_and_does_not_depend_on_the_batch():
     distance = load_model(shipped_model("point_maze"), "point_maze").distance
     greedy = GreedyDistance(distance, 2)
     rng = np.random.default_rng(1)
@@ -43,7 +42,7 @@ def test_on_a_trained_distance_it_beats_a_fine_grid_and_does_not_depend_on_the_b
     with torch.inference_mode():
         least = torch.stack([distance(rows[0], action.expand(8, -1), rows[1]) for action in grid]).amin(0)
         steps = distance(rows[0], torch.from_numpy(found), rows[1])
-    assert (steps <= least + 0.5).all()
+    assert (steps <= least + 0.2).all()
 
 
 def test_greedy_proposals_join_the_samples_and_are_the_same_every_time():
@@ -64,7 +63,6 @@ def test_greedy_proposals_join_the_samples_and_are_the_same_every_time():
     np.testing.assert_array_equal(*plans)
 
 
-@pytest.mark.parametrize("changed", [{}, {"greedy_proposals": True}])
-def test_earlier_plans_keep_their_hash(changed):
-    hashes = {OPTIONS["mppi"](env="fetch_wall", **options).hash() for options in ({}, changed)}
-    assert len(hashes) == 1 + bool(changed)
+def test_plans_of_before_keep_the_hash_that_stands_in_published_rows():
+    assert OPTIONS["mppi"](env="fetch_wall").hash() == "89443e8e05"
+    assert OPTIONS["mppi"](env="fetch_wall", greedy_proposals=True).hash() != "89443e8e05"

@@ -113,6 +113,19 @@ def test_counts_equal_a_dictionary():
     assert 0 in expected and sum(truth.values()) == table.counts.sum()
 
 
+def test_joint_keys_are_those_of_the_joined_rows():
+    rng = np.random.default_rng(0)
+    for n_bits in (1, 8, 16, 33, 62):
+        table = HashedCounts.drawn(7, n_bits, rng)
+        first, second = rng.standard_normal((20, 4)), rng.standard_normal((21, 3))
+        i, j = np.triu_indices(21, k=1)
+        i, j = i[i < 20], j[i < 20]
+        joined = np.concatenate([first[i], second[j]], axis=1)
+        np.testing.assert_array_equal(table.joint_keys(first, second, i, j), table.key(joined))
+        bits = (joined @ table.projection[:-1] + table.projection[-1]) > 0
+        np.testing.assert_array_equal(table.key(joined), bits @ (1 << np.arange(n_bits)))
+
+
 def test_reached_counts_each_later_pair_once():
     episodes = chain_episodes(1, horizon=4)
     scaling = Scaling.estimate(episodes.observations, episodes.achieved_goals)

@@ -8,9 +8,12 @@ import sys
 
 import numpy as np
 import pytest
+from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium_robotics.envs.robot_env import MujocoRobotEnv
 
+from mpc.controller import Plan
 from mpc.cost import EuclideanSteps
+from mpc.rollout import Trajectories
 from napsp import envs
 from napsp.envs.open_loop import OpenLoopEnv
 from planners.cli import run
@@ -18,6 +21,7 @@ from planners.maze_map import steps_field
 from planners.options import PlanOptions
 from planners.search_options import MPPIOptions, PredictiveSamplingOptions
 from planners.session import Session
+from planners.video import Video
 
 SMALL = ("--env", "point_maze", "--samples", "8", "--horizon", "4", "--no-video", "--threads", "1")
 PNG = b"\x89PNG"
@@ -120,10 +124,12 @@ def test_without_a_display_the_viewer_is_refused_before_any_work(display, words,
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", ["point_maze", "claw", "fetch_reach", "FetchPush-v4"])
+@pytest.mark.parametrize(
+    "name", ["point_maze", "claw", "fetch_reach", "FetchPush-v4", "PointMaze_UMaze-v3", "AntMaze_UMaze-v5"]
+)
 def test_in_human_mode_reset_and_every_step_are_drawn(name, monkeypatch):
     frames = []
-    for kind in (OpenLoopEnv, MujocoRobotEnv):
+    for kind in (OpenLoopEnv, MujocoRobotEnv, MujocoEnv):
         monkeypatch.setattr(kind, "render", lambda env: frames.append(env.data.time))
     env = envs.make(name, render_mode="human")
     env.reset(seed=0)
@@ -136,3 +142,29 @@ def test_in_human_mode_reset_and_every_step_are_drawn(name, monkeypatch):
 
 def test_watching_does_not_change_how_plans_are_made():
     assert PlanOptions(render="human").hash() == PlanOptions().hash()
+
+
+def test_videos_of_stock_mazes_show_the_agent_and_hide_the_stock_goal(tmp_path):
+    env = envs.make("PointMaze_UMaze-v3")
+    video = Video(tmp_path / "video.mp4", env.unwrapped)
+    alpha = {video._model.site(i).name: video._model.site_rgba[i, 3] for i in range(video._model.nsite)}
+    video.close()
+    env.close()
+    assert alpha["target"] == 0 and alpha["particle_site"] > 0
+
+
+@pytest.mark.parametrize("name", ["fetch_wall", "AntMaze_UMaze-v5"])
+def test_lines_of_plans_grow_with_the_distance_they_are_seen_from(name, tmp_path, monkeypatch):
+    env = envs.make(name)
+    world, widths = env.unwrapped, []
+    monkeypatch.setattr(Video, "_segment", lambda video, start, end, width, color: widths.append(width))
+    video = Video(tmp_path / "video.mp4", world)
+    goals = np.zeros((2, 3, *world.observation_space["achieved_goal"].shape))
+    trajectories = Trajectories(goals, goals, np.zeros(2, bool))
+    actions = np.zeros((3, *world.action_space.shape), np.float32)
+    video._draw_plans(Plan(actions[0], actions, trajectories, np.array([1.0, 2.0]), 2.0, 0.0, 0.0))
+    distance = video._camera.distance
+    video.close()
+    env.close()
+    pixels = np.array(widths) / (2 * distance * np.tan(np.deg2rad(world.model.vis.global_.fovy / 2))) * 480
+    assert len(widths) == 4 and 1.0 < pixels.min() < pixels.max() < 5.0

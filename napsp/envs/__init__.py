@@ -130,8 +130,9 @@ def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium
         return StockTask(lambda **options: load(**options).unwrapped, **kwargs)
     except TypeError:
         raise UserError(
-            f"{name} can not be planned in: it lacks {', '.join(missing)} and is neither a robot nor a "
-            "maze of gymnasium-robotics; add them as the README's 'Use your own environment' shows"
+            f"{name} can not be planned in: it lacks {', '.join(missing)} and is neither a "
+            "MujocoRobotEnv nor a MazeEnv of gymnasium-robotics; add them as the README's 'Use your own environment' "
+            "shows"
         ) from None
 
 

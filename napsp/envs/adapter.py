@@ -1,9 +1,11 @@
 """Any stock robot or maze of gymnasium-robotics as a task that can be planned in.
 
 Slower than the tasks of this package - the environment's own Python runs inside every rollout -
-and equally exact: environment and rollouts call the same functions. One thing differs from the
-stock environment: every step ends with fresh body poses. Stock ones may be a physics step old,
-and the next step of Fetch starts from them, so what follows would not depend on MuJoCo's state alone.
+and equally exact: environment and rollouts call the same functions. As in every task here, the reward
+is 0 or -1, and the goal stays for a whole episode, which only its length ends. In the physics one thing
+differs from the stock environment: every step ends with fresh body poses. Stock ones may be a physics
+step old, and the next step of Fetch starts from them, so what follows would not depend on MuJoCo's state
+alone.
 """
 
 from __future__ import annotations
@@ -91,7 +93,7 @@ class StockTask(gymnasium.Env):
         render_mode: Gymnasium's.
 
     Raises:
-        TypeError: the environment is neither a robot nor a maze of gymnasium-robotics.
+        TypeError: the environment is neither a ``MujocoRobotEnv`` nor a ``MazeEnv``.
     """
 
     def __init__(self, make: Callable[..., Any], render_mode: str | None = None) -> None:
@@ -113,11 +115,11 @@ class StockTask(gymnasium.Env):
 
     @goal.setter
     def goal(self, goal: np.ndarray) -> None:
-        self._stock.env.goal = goal
+        self._stock.set_goal(goal)
 
     @property
     def camera(self) -> mujoco.MjvCamera:
-        """Where videos are taken from: the stock environment's own view."""
+        """Where videos are taken from."""
         camera = mujoco.MjvCamera()
         mujoco.mjv_defaultFreeCamera(self.model, camera)
         for name, value in self._stock.camera.items():
@@ -138,7 +140,7 @@ class StockTask(gymnasium.Env):
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Advance one control step; never terminates."""
         self._simulation.advance(self.dynamics.control(action)[None], self._features)
-        if self.render_mode == "human":
+        if self.render_mode == "human" and not self._stock.renders_steps:
             self.render()
         observation = self._observation()
         success = bool(self.reached(observation["achieved_goal"], self.goal))

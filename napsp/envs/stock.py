@@ -6,11 +6,13 @@ agent in it (PointMaze, AntMaze). :mod:`napsp.envs.adapter` makes tasks of them.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 from gymnasium import spaces
+from gymnasium_robotics.envs.maze.maze import MazeEnv as OldMazeEnv
 from gymnasium_robotics.envs.maze.maze_v4 import MazeEnv
 from gymnasium_robotics.envs.robot_env import MujocoRobotEnv
 
@@ -25,12 +27,14 @@ class Stock(Protocol):
         observation_space: a dictionary space with Gymnasium's three keys.
         substeps: physics steps per control step.
         goal_radius: how close counts as being at the goal, for pictures and the straight-line cost.
+        renders_steps: whether the environment's own step draws the scene for its viewer.
     """
 
     env: Any
     observation_space: spaces.Dict
     substeps: int
     goal_radius: float
+    renders_steps: bool
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -44,7 +48,11 @@ class Stock(Protocol):
 
     @property
     def camera(self) -> dict[str, Any]:
-        """The environment's own view of the scene, as attributes of ``mujoco.MjvCamera``."""
+        """A view of the whole scene, as attributes of ``mujoco.MjvCamera``."""
+        ...
+
+    def set_goal(self, goal: np.ndarray) -> None:
+        """Ask for another desired goal ``(G,)``."""
         ...
 
     def use(self, model: mujoco.MjModel, data: mujoco.MjData, substeps: int) -> None:
@@ -67,6 +75,8 @@ class Stock(Protocol):
 class Robot:
     """A ``MujocoRobotEnv``; see :class:`Stock`."""
 
+    renders_steps = False
+
     def __init__(self, env: MujocoRobotEnv) -> None:
         self.env: Any = env
         self.observation_space = self.env.observation_space
@@ -84,6 +94,9 @@ class Robot:
     @property
     def camera(self) -> dict[str, Any]:  # noqa: D102
         return dict(self.env.mujoco_renderer.default_cam_config or {})
+
+    def set_goal(self, goal: np.ndarray) -> None:  # noqa: D102
+        self.env.goal = goal
 
     def use(self, model: mujoco.MjModel, data: mujoco.MjData, substeps: int) -> None:  # noqa: D102
         self.env.model, self.env.data, self.env.n_substeps = model, data, substeps
@@ -105,12 +118,23 @@ class Maze:
     """A ``MazeEnv``; see :class:`Stock`.
 
     The observation is all that the agent has, its position included. Stock AntMaze leaves the
-    position to ``achieved_goal``, but d(s, a, g) has to find it in s.
+    position to ``achieved_goal``, but d(s, a, g) has to find it in s. The goal stays where it is for a
+    whole episode. Contact forces, which AntMaze-v5 observes, are those of the last step: after another
+    state was loaded they are right again one step later.
+
+    Raises:
+        TypeError: neither a point nor an ant is in it.
     """
 
-    def __init__(self, env: MazeEnv) -> None:
+    renders_steps = True
+
+    def __init__(self, env: Any) -> None:
         self.env: Any = env
-        self._agent = getattr(env, "point_env", None) or getattr(env, "ant_env")  # noqa: B009
+        agents = [agent for name in ("point_env", "ant_env") if (agent := getattr(env, name, None)) is not None]
+        if not agents:
+            raise TypeError(f"{type(env).__name__} has neither a point nor an ant in its maze")
+        self._agent = agents[0]
+        Path(env.tmp_xml_file_path).unlink(missing_ok=True)  # every stock maze leaves one behind
         self.substeps = self._agent.frame_skip
         self.goal_radius = MAZE_GOAL_RADIUS
         stock, agent = self.env.observation_space.spaces, self._agent.observation_space
@@ -131,6 +155,10 @@ class Maze:
         extent = float(self.model.stat.extent)
         return {"lookat": self.model.stat.center, "distance": 1.2 * extent, "azimuth": 90.0, "elevation": -89.0}
 
+    def set_goal(self, goal: np.ndarray) -> None:  # noqa: D102
+        self.env.goal = goal
+        self.env.update_target_site_pos()
+
     def use(self, model: mujoco.MjModel, data: mujoco.MjData, substeps: int) -> None:  # noqa: D102
         self._agent.model, self._agent.data, self._agent.frame_skip = model, data, substeps
 
@@ -146,7 +174,11 @@ class Maze:
         return np.linalg.norm(np.asarray(achieved_goal) - desired_goal, axis=-1) <= self.goal_radius
 
 
-FAMILIES: tuple[tuple[type, type[Robot] | type[Maze]], ...] = ((MujocoRobotEnv, Robot), (MazeEnv, Maze))
+FAMILIES: tuple[tuple[type, type[Robot] | type[Maze]], ...] = (
+    (MujocoRobotEnv, Robot),
+    (MazeEnv, Maze),
+    (OldMazeEnv, Maze),
+)
 
 
 def wrap(env: Any) -> Stock:
@@ -158,5 +190,4 @@ def wrap(env: Any) -> Stock:
     for kind, family in FAMILIES:
         if isinstance(env, kind):
             return family(env)
-    names = " or ".join(kind.__name__ for kind, _ in FAMILIES)
-    raise TypeError(f"{type(env).__name__} is no {names} of gymnasium-robotics")
+    raise TypeError(f"{type(env).__name__} is neither a MujocoRobotEnv nor a MazeEnv of gymnasium-robotics")
