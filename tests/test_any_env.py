@@ -13,7 +13,14 @@ from napsp.envs.dynamics import get_state
 from napsp.errors import UserError
 from napsp.presets import preset
 
-STOCK = ["FetchPush-v4", "FetchPickAndPlace-v4", "HandReach-v3", "PointMaze_UMaze-v3", "AntMaze_UMaze-v5"]
+STOCK = [
+    "FetchPush-v4",
+    "FetchPickAndPlace-v4",
+    "HandReach-v3",
+    "HandManipulateBlock-v1",
+    "PointMaze_UMaze-v3",
+    "AntMaze_UMaze-v5",
+]
 USER_MODULE = """
 from napsp.envs.point_maze import PointMazeEnv
 
@@ -107,6 +114,26 @@ def test_adapted_robots_serve_vectorised_rewards_and_pictures():
     assert (world.compute_reward(goals, goals + 0.1, {}) == -1).all()
     assert world.goal_positions(np.zeros((2, 15))).shape == (2, 3) == world.goal_positions(np.zeros((2, 2))).shape
     world.close()
+
+
+@pytest.mark.parametrize(
+    "name", ["FetchPush-v4", "HandReach-v3", "HandManipulateBlock-v1", "HandManipulatePen-v1", "PointMaze_UMaze-v3"]
+)
+def test_success_is_judged_in_any_batch_as_stock_judges_a_pair(name):
+    env = envs.make(name)
+    world = env.unwrapped
+    rng = np.random.default_rng(0)
+    observation, _ = env.reset(seed=0)
+    goal = observation["desired_goal"]
+    near = goal + rng.uniform(-0.5, 0.5, (6, 5, goal.size)) * np.linspace(0.0, 1.0, 6)[:, None, None]
+    batch = world.reached(near, goal)
+    assert batch.shape == (6, 5) and batch[0].all() and not batch.all()
+    single = [[bool(world.reached(row, goal)) for row in rows] for rows in near]
+    np.testing.assert_array_equal(batch, single)
+    stock = world._stock.env
+    if hasattr(stock, "_is_success"):
+        np.testing.assert_array_equal(batch, [[bool(stock._is_success(row, goal)) for row in rows] for rows in near])
+    env.close()
 
 
 def test_episode_lengths_and_configurations_of_foreign_tasks():

@@ -111,7 +111,14 @@ class Robot:
         return values["observation"], values["achieved_goal"]
 
     def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:  # noqa: D102
-        return np.asarray(self.env._is_success(np.asarray(achieved_goal), np.asarray(desired_goal))) > 0
+        # In rows: the rotations of HandManipulate take one or two axes, not more.
+        pair = np.broadcast_arrays(achieved_goal, desired_goal)
+        rows = [np.array(goals, np.float64).reshape(-1, goals.shape[-1]) for goals in pair]
+        if getattr(self.env, "ignore_z_target_rotation", False):  # the pen's test mixes up rows if given several
+            judged = [self.env._is_success(achieved, desired) for achieved, desired in zip(*rows, strict=True)]
+        else:
+            judged = self.env._is_success(*rows)
+        return (np.asarray(judged) > 0).reshape(pair[0].shape[:-1])
 
 
 class Maze:
