@@ -18,7 +18,7 @@ import torch
 import tyro
 
 from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
-from benchmarks.curves import line_of
+from benchmarks.curves import LINES, line_of
 from mpc.motion import action_rate
 from mpc.rollout import available_cores
 from napsp import envs as tasks
@@ -169,7 +169,7 @@ def draw(env_name: str) -> Path | None:
     rows = []
     for row in (row for row in read_results(FILE) if row["env"] == env_name):
         training = line_of(env_name, row["training_hash"], int(row["training_episodes"]))
-        if training is not None:  # else settings of another day
+        if training in LINES:  # not settings of another day, nor those that figures leave out
             rows.append(row | {"training": training})
     last, panels = max((int(row["training_episodes"]) for row in rows), default=0), {}
     for x in ("budget", "training_episodes"):
@@ -181,7 +181,9 @@ def draw(env_name: str) -> Path | None:
                 lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
         if any(len(points) > 1 for points in lines.values()):
             panels[x] = lines
+    path = RESULTS / f"policy_vs_mpc_{tasks.file_name(env_name)}.png"
     if not panels:  # one budget and one checkpoint each: the table says it all
+        path.unlink(missing_ok=True)
         return None
     figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3), layout="constrained")
     for axis, (x, lines) in zip(np.atleast_1d(axes), panels.items(), strict=True):
@@ -195,7 +197,6 @@ def draw(env_name: str) -> Path | None:
         )
         axis.legend(fontsize=6)
     figure.suptitle(env_name, fontsize=10)
-    path = RESULTS / f"policy_vs_mpc_{tasks.file_name(env_name)}.png"
     save_figure(figure, path)
     return path
 
