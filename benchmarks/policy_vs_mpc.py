@@ -186,12 +186,15 @@ def draw(env_name: str) -> Path | None:
         path.unlink(missing_ok=True)
         return None
     figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3), layout="constrained")
+    names = sorted({name for lines in panels.values() for name in lines if not name.startswith("policy")})
+    colours = {name: f"C{i}" for i, name in enumerate(names)}
     for axis, (x, lines) in zip(np.atleast_1d(axes), panels.items(), strict=True):
         for name, points in lines.items():
             if name.startswith("policy") and x == "budget":
                 axis.axhline(points[0][1], color="black", linestyle=":", label=name)
-            else:
-                axis.plot(*zip(*sorted(points), strict=True), marker="o", markersize=3, label=name)
+            elif x == "budget" or len(points) > 1:  # single points stand in the other panel
+                style = {"marker": "o", "markersize": 3, "color": colours.get(name, "black")}
+                axis.plot(*zip(*sorted(points), strict=True), label=name, **style)
         axis.set(
             xlabel={"budget": "plans per control step"}.get(x, "training episodes"), ylabel="success", ylim=(0, 1.05)
         )
