@@ -255,3 +255,16 @@ def test_imports_run_one_way():
             allowed = ("napsp.envs", "napsp.errors")
             assert not name.startswith("napsp") or name.startswith(allowed), f"{path} imports {name}"
             assert name.split(".")[0] != "torch", f"{path} imports torch"
+
+
+def test_a_reader_that_has_enough_ends_a_command_without_a_word():
+    script = (
+        "from napsp.errors import run_command; run_command(lambda: [print('line', flush=True) for _ in range(10**5)])"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as command:
+        assert command.stdout.readline() == "line\n"
+        command.stdout.close()
+        assert command.stderr.read() == ""
+    assert command.returncode == 141
