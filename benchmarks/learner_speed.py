@@ -46,6 +46,8 @@ class LearnerSpeedOptions:
     """CPU threads of both."""
     matmul_precision: Literal["highest", "medium"] = "highest"
     """torch's precision of float32 matrix products, for both; medium multiplies in bfloat16 if it can."""
+    compiled: bool = False
+    """Compile our updates (napsp.train --compiled); Stable-Baselines3 has no such option."""
     out: Path | None = None
     """JSON file for the figures."""
 
@@ -117,11 +119,13 @@ def main() -> int:
     config = preset(
         options.env, method="sparse", agent="sac", hidden=(options.width, options.width),
         batch_size=options.batch_size, n_policy_updates=options.updates, n_warmup_episodes=40,
+        compiled=options.compiled,
     )  # fmt: skip
     sizes = sizes_of(tasks.make(config.env))
     jobs = {"ours": ours(config), "stable_baselines3": stable_baselines(config, options.updates)}
     rates: dict[str, list[float]] = {name: [] for name in jobs}
     peaks = []
+    jobs["ours"]()  # compiles, if it shall
     for _ in range(options.rounds):
         peaks.append(matrix_product_speed(options.width, options.batch_size))
         for name, job in jobs.items():
@@ -135,6 +139,7 @@ def main() -> int:
         "batch_size": options.batch_size,
         "threads": options.threads,
         "matmul_precision": options.matmul_precision,
+        "compiled": options.compiled,
         "torch": torch.__version__,
         "revision": git_revision(),
         **{f"{name}_updates_per_second": float(np.median(values)) for name, values in rates.items()},

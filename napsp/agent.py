@@ -9,6 +9,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from napsp.backprop import Adam
 from napsp.config import TrainConfig
 from napsp.networks import Policy
 
@@ -41,7 +42,7 @@ class Agent(Protocol):
     """A policy with what trains it; see :class:`napsp.sac.SAC` and :class:`napsp.ddpg.DDPG`."""
 
     policy: Policy
-    optimizers: dict[str, torch.optim.Adam]
+    optimizers: dict[str, Adam]
 
     def update(self, batch: PolicyBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """One gradient step of everything; returns scalars to log."""

@@ -1,43 +1,44 @@
 """Gradients of an :func:`~napsp.networks.mlp` written out, and Adam on one flat vector.
 
 At the widths and batches used here autograd and per-tensor optimisers take as long as the
-arithmetic. Written out, a gradient step is little more than its matrix products, and the
-same code runs on any device.
+arithmetic. Written out, a gradient step is little more than its matrix products, runs on any
+device, and is plain enough for ``torch.compile`` to make one program of it.
 """
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterable
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
+from torch.optim.adam import adam
+
+from napsp.errors import UserError
+
+COMPILERS = ("g++", "clang++", "cl")
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-class Tape:
-    """What a backward pass needs of its forward pass, in memory that is used again and again.
-
-    Fresh memory would fall out of the cache between the passes of several networks.
+class Tape(NamedTuple):
+    """What a backward pass needs of its forward pass.
 
     Attributes:
         inputs: of the network, ``(B, n)``.
         before: outputs of each hidden layer before SiLU, ``(B, width)``.
         after: the same after SiLU.
-        slopes: d loss / d before.
     """
 
-    def __init__(self, n_rows: int, widths: list[int], like: Tensor) -> None:
-        self.inputs = like
-        self.before, self.after, self.slopes = ([like.new_empty(n_rows, width) for width in widths] for _ in range(3))
+    inputs: Tensor
+    before: list[Tensor]
+    after: list[Tensor]
 
     def part(self, rows: slice) -> Tape:
         """The tape of some rows (views)."""
-        tape = copy.copy(self)
-        tape.inputs = self.inputs[rows]
-        tape.before, tape.after, tape.slopes = (
-            [values[rows] for values in kind] for kind in (self.before, self.after, self.slopes)
+        return Tape(
+            self.inputs[rows], [values[rows] for values in self.before], [values[rows] for values in self.after]
         )
-        return tape
 
 
 class Backprop:
@@ -45,70 +46,100 @@ class Backprop:
 
     Args:
         net: linear layers with SiLU between them.
+        vector: where :func:`flatten` put its parameters.
     """
 
-    def __init__(self, net: nn.Module) -> None:
+    def __init__(self, net: nn.Module, vector: Tensor) -> None:
         layers = [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
-        self._parameters = [(layer.weight, layer.bias) for layer in layers]
-        self._widths = [layer.out_features for layer in layers[:-1]]
-        self._tapes: dict[int, Tape] = {}
+        parameters = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]
+        self._vector = vector
+        self._start = parameters[0].storage_offset()
+        self._sizes = [parameter.numel() for parameter in parameters]
+        self._shapes = [parameter.shape for parameter in parameters]
+
+    def _layers(self) -> list[tuple[Tensor, Tensor]]:
+        """Weight and bias of each layer, read off the vector: inside a compiled step only the vector is an input."""
+        parts = self._vector[self._start : self._start + sum(self._sizes)].split(self._sizes)
+        parameters = [part.view(shape) for part, shape in zip(parts, self._shapes, strict=True)]
+        return list(zip(parameters[::2], parameters[1::2], strict=True))
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tape]:
-        """Outputs ``(B, n)``, and the tape for :meth:`backward`; the next forward pass overwrites it."""
-        tape = self._tapes.get(len(inputs))
-        if tape is None:
-            tape = self._tapes[len(inputs)] = Tape(len(inputs), self._widths, inputs)
-        tape.inputs = inputs
-        for (weight, bias), before, after in zip(self._parameters, tape.before, tape.after, strict=False):
-            torch.addmm(bias, inputs, weight.t(), out=before)
-            torch.ops.aten.silu.out(before, out=after)
-            inputs = after
-        weight, bias = self._parameters[-1]
+        """Outputs ``(B, n)``, and the tape for :meth:`slopes`."""
+        layers, tape = self._layers(), Tape(inputs, [], [])
+        for weight, bias in layers[:-1]:
+            before = torch.addmm(bias, inputs, weight.t())
+            inputs = nn.functional.silu(before)
+            tape.before.append(before)
+            tape.after.append(inputs)
+        weight, bias = layers[-1]
         return torch.addmm(bias, inputs, weight.t()), tape
 
-    def backward(self, tape: Tape, gradient: Tensor, parameters: bool = True, inputs: slice | None = None) -> Tensor:
-        """Push d loss / d outputs ``(B, n)`` back.
+    def slopes(self, tape: Tape, gradient: Tensor) -> list[Tensor]:
+        """Slopes of the loss by each layer's outputs before SiLU, first layer first, from the last one's ``(B, n)``."""
+        layers, slopes = self._layers(), [gradient]
+        for index in reversed(range(1, len(layers))):
+            slope = slopes[0] @ layers[index][0]
+            slopes.insert(0, torch.ops.aten.silu_backward(slope, tape.before[index - 1]))
+        return slopes
 
-        Args:
-            tape: of the forward pass.
-            gradient: d loss / d outputs.
-            parameters: write d loss / d parameters into their ``grad``.
-            inputs: the columns of the inputs to differentiate.
+    def gradients(self, tape: Tape, slopes: list[Tensor]) -> list[Tensor]:
+        """Slopes of the loss by the parameters, in the vector's order."""
+        gradients = []
+        for inputs, slope in zip([tape.inputs, *tape.after], slopes, strict=True):
+            gradients += [slope.t() @ inputs, slope.sum(0)]
+        return gradients
 
-        Returns:
-            d loss / d inputs ``(B, len(inputs))``; empty columns if None.
-        """
-        for index in reversed(range(len(self._parameters))):
-            weight, bias = self._parameters[index]
-            if parameters:
-                torch.mm(gradient.t(), tape.after[index - 1] if index else tape.inputs, out=weight.grad)
-                torch.sum(gradient, 0, out=bias.grad)
-            if index:
-                slope = tape.slopes[index - 1]
-                torch.mm(gradient, weight, out=slope)
-                torch.ops.aten.silu_backward.grad_input(slope, tape.before[index - 1], grad_input=slope)
-                gradient = slope
-        return gradient @ weight[:, inputs or slice(0)]
+    def input_slope(self, slopes: list[Tensor], columns: slice) -> Tensor:
+        """Slopes of the loss by some columns of the inputs ``(B, n)``."""
+        return slopes[0] @ self._layers()[0][0][:, columns]
 
 
 def flatten(networks: Iterable[nn.Module]) -> Tensor:
-    """Move all parameters into one vector that they become views of; so do their gradients.
-
-    Returns:
-        The vector ``(P,)``; its ``grad`` is the vector of gradients.
-    """
+    """Move all parameters into one vector ``(P,)`` that they become views of."""
     parameters = [parameter for network in networks for parameter in network.parameters()]
     vector = torch.cat([parameter.detach().reshape(-1) for parameter in parameters])
-    vector.grad = torch.zeros_like(vector)
     start = 0
     for parameter in parameters:
         end = start + parameter.numel()
         parameter.data = vector[start:end].view_as(parameter)
-        parameter.grad = vector.grad[start:end].view_as(parameter)
         start = end
     return vector
 
 
-def adam(vector: Tensor, learning_rate: float) -> torch.optim.Adam:
-    """Adam over a vector of :func:`flatten`."""
-    return torch.optim.Adam([vector], lr=learning_rate, fused=True)
+class Adam:
+    """Adam (Kingma and Ba 2015) over a vector of :func:`flatten`, with torch's formulas.
+
+    Attributes:
+        state: step, exp_avg and exp_avg_sq as in :class:`torch.optim.Adam`.
+    """
+
+    def __init__(self, vector: Tensor, learning_rate: float) -> None:
+        self._vector, self._learning_rate = vector, learning_rate
+        moments = {name: torch.zeros_like(vector) for name in ("exp_avg", "exp_avg_sq")}
+        self.state: dict[str, Tensor] = {"step": torch.zeros(()), **moments}
+
+    @torch.no_grad()
+    def update(self, gradients: Sequence[Tensor]) -> None:
+        """One step down the gradients, given in the vector's order."""
+        gradient = torch.cat([gradient.reshape(-1) for gradient in gradients]).view_as(self._vector)
+        state = self.state
+        compiling = torch.compiler.is_compiling()  # which writes a fused loop of its own
+        adam(
+            [self._vector], [gradient], [state["exp_avg"]], [state["exp_avg_sq"]], [], [state["step"]],
+            foreach=False, fused=not compiling, amsgrad=False, beta1=0.9, beta2=0.999, lr=self._learning_rate,
+            weight_decay=0.0, eps=1e-8, maximize=False,
+        )  # fmt: skip
+
+
+def compiled(function: Function, wanted: bool) -> Function:
+    """A function as one compiled program, if wanted.
+
+    Raises:
+        UserError: there is no C++ compiler to do it with.
+    """
+    if not wanted:
+        return function
+    if not any(map(shutil.which, COMPILERS)):
+        raise UserError("--compiled needs a C++ compiler such as g++ on the PATH; install one or leave it out")
+    torch.compiler.reset()  # programs of earlier learners in this process count towards a limit
+    return torch.compile(function, fullgraph=True, dynamic=False)  # type: ignore[return-value]

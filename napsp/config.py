@@ -53,6 +53,9 @@ class TrainConfig:
     matmul_precision: Literal["highest", "medium"] = "highest"
     """torch's precision of float32 matrix products while training; medium lets processors with
     bfloat16 units multiply up to four times faster, with 8-bit mantissas and float32 sums."""
+    compiled: bool = False
+    """Make one compiled program of each kind of update (torch.compile; needs a C++ compiler). The first time
+    this takes about a minute. Results differ in rounding alone, so this is not part of the configuration's hash."""
 
     # -- distance network --
     hidden: tuple[int, ...] = (256, 256)
@@ -180,10 +183,15 @@ class TrainConfig:
 
         Options added after results existed do not enter at the value that means what was done before.
         """
-        asked = {k: v for k, v in self.to_dict().items() if k != "seed" and (k not in ADDED or v != ADDED[k])}
+        asked = {
+            k: v
+            for k, v in self.to_dict().items()
+            if k not in ("seed", *SPEED_ONLY) and (k not in ADDED or v != ADDED[k])
+        }
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:10]
 
 
+SPEED_ONLY = ("compiled",)
 ADDED = {
     "agent": "sac",
     "action_noise": 0.2,
@@ -195,6 +203,7 @@ ADDED = {
     "clipped_double_q": False,
     "slow_distance": False,
     "first_arrival": False,
+    "compiled": False,
 }
 MANY, TINY = 10**9, 1e-12
 RANGES: dict[str, tuple[float, float]] = {

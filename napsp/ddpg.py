@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from napsp.agent import PolicyBatch, critic_targets_range
-from napsp.backprop import Backprop, adam, flatten
+from napsp.backprop import Adam, Backprop, compiled, flatten
 from napsp.config import TrainConfig
 from napsp.networks import Critic, DeterministicPolicy
 
@@ -28,15 +28,17 @@ class DDPG:
         self._vectors = [flatten([self.policy]), flatten([self.critic])]
         self._target_vectors = [flatten([self.target_policy]), flatten([self.target_critic])]
         self.optimizers = {
-            "policy_optimizer": adam(self._vectors[0], config.policy_learning_rate),
-            "critic_optimizer": adam(self._vectors[1], config.policy_learning_rate),
+            "policy_optimizer": Adam(self._vectors[0], config.policy_learning_rate),
+            "critic_optimizer": Adam(self._vectors[1], config.policy_learning_rate),
         }
-        self._policy, self._next_policy = Backprop(self.policy.net), Backprop(self.target_policy.net)
-        self._critics = [Backprop(net) for net in self.critic.nets]
-        self._next_critics = [Backprop(net) for net in self.target_critic.nets]
+        self._policy = Backprop(self.policy.net, self._vectors[0])
+        self._critics = [Backprop(net, self._vectors[1]) for net in self.critic.nets]
+        self._next_policy = Backprop(self.target_policy.net, self._target_vectors[0])
+        self._next_critics = [Backprop(net, self._target_vectors[1]) for net in self.target_critic.nets]
         self._discount, self._polyak = config.discount, config.polyak
         self._action_penalty = config.action_penalty
         self._value_range = critic_targets_range(config)
+        self._step = compiled(self._gradient_step, config.compiled)
 
     def networks(self) -> dict[str, torch.nn.Module]:
         """All networks by name."""
@@ -55,6 +57,9 @@ class DDPG:
     def update(self, batch: PolicyBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """One update of critic, policy and their targets; no terminal flag, as in SAC."""
         del generator  # deterministic
+        return self._step(batch)
+
+    def _gradient_step(self, batch: PolicyBatch) -> dict[str, Tensor]:
         metrics = self._update_critic(batch)
         self._update_policy(batch)
         for target, vector in zip(self._target_vectors, self._vectors, strict=True):
@@ -69,13 +74,13 @@ class DDPG:
         targets = batch.rewards.unsqueeze(1) + self._discount * next_values
         targets = targets.clamp(*self._value_range)
         inputs = torch.cat([batch.observations, batch.actions, batch.goals], dim=1)
-        losses = []
+        losses, gradients = [], []
         for critic in self._critics:
             values, tape = critic.forward(inputs)
             errors = values - targets
-            critic.backward(tape, errors * (2.0 / len(errors)))
+            gradients += critic.gradients(tape, critic.slopes(tape, errors * (2.0 / len(errors))))
             losses.append(errors.square().mean())
-        self.optimizers["critic_optimizer"].step()
+        self.optimizers["critic_optimizer"].update(gradients)
         return {"critic_loss": torch.stack(losses).mean(), "mean_value": targets.mean()}
 
     def _update_policy(self, batch: PolicyBatch) -> None:
@@ -86,7 +91,7 @@ class DDPG:
         values, tape = critic.forward(torch.cat([batch.observations, actions, batch.goals], dim=1))
         width = batch.observations.shape[1]
         columns = slice(width, width + actions.shape[1])
-        value_slope = critic.backward(tape, torch.ones_like(values), parameters=False, inputs=columns)
+        value_slope = critic.input_slope(critic.slopes(tape, torch.ones_like(values)), columns)
         slope = (2.0 * self._action_penalty / actions.shape[1]) * actions - value_slope
-        self._policy.backward(policy_tape, slope * (1.0 - actions.square()) / len(actions))
-        self.optimizers["policy_optimizer"].step()
+        slopes = self._policy.slopes(policy_tape, slope * (1.0 - actions.square()) / len(actions))
+        self.optimizers["policy_optimizer"].update(self._policy.gradients(policy_tape, slopes))

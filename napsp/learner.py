@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from napsp.agent import Agent, PolicyBatch
+from napsp.backprop import Adam
 from napsp.buffer import (
     EpisodeBuffer,
     Episodes,
@@ -64,7 +65,7 @@ class Learner:
         distances = {"distance": regression.distance, "target_distance": regression.target_distance}
         return {**distances, **self.agent.networks()}
 
-    def optimizers(self) -> dict[str, torch.optim.Adam]:
+    def optimizers(self) -> dict[str, Adam]:
         """All optimisers by name."""
         return {"distance_optimizer": self.regression.optimizer, **self.agent.optimizers}
 

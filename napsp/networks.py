@@ -159,7 +159,8 @@ class GaussianPolicy(Policy):
 
     def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
         """A sample of the policy ``(B, A)``."""
-        return squash(self(observation, goal), generator)[0]
+        outputs = self(observation, goal)
+        return squash(outputs, torch.randn((len(outputs), self.n_actions), generator=generator))[0]
 
 
 class DeterministicPolicy(Policy):
@@ -176,17 +177,16 @@ class DeterministicPolicy(Policy):
         return (action + self.action_noise * noise).clamp(-1.0, 1.0)
 
 
-def squash(outputs: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Sample a = tanh(mean + std * noise) from a Gaussian policy's outputs ``(B, 2 A)``.
+def squash(outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sample a = tanh(mean + std * noise) from a Gaussian policy's outputs ``(B, 2 A)`` and normal noise ``(B, A)``.
 
     Returns:
-        Actions ``(B, A)``, log densities ``(B,)``, the noise and the log deviations ``(B, A)``.
+        Actions ``(B, A)``, log densities ``(B,)`` and the log deviations ``(B, A)``.
     """
     mean, log_std = outputs.chunk(2, dim=-1)
     log_std = log_std.clamp(*LOG_STD_RANGE)
-    noise = torch.randn(mean.shape, generator=generator)
     before = mean + log_std.exp() * noise
     # log |d tanh(x) / dx| in the form that does not underflow for large |x|.
     squashing = 2.0 * (math.log(2.0) - before - functional.softplus(-2.0 * before))
     log_density = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi) - squashing
-    return torch.tanh(before), log_density.sum(-1), noise, log_std
+    return torch.tanh(before), log_density.sum(-1), log_std

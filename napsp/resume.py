@@ -11,7 +11,7 @@ from torch import Tensor
 
 from napsp.buffer import FIELDS, Episodes
 from napsp.checkpoint import FORMAT, read_tensors, write_tensors
-from napsp.config import ADDED, TrainConfig
+from napsp.config import ADDED, SPEED_ONLY, TrainConfig
 from napsp.errors import UserError
 from napsp.learner import Learner
 
@@ -24,8 +24,7 @@ def save_training(path: Path, learner: Learner, iteration: int, seconds: float, 
     for name, network in learner.networks().items():
         tensors |= {f"{name}.{key}": value for key, value in network.state_dict().items()}
     for name, optimizer in learner.optimizers().items():
-        for index, entries in optimizer.state_dict()["state"].items():
-            tensors |= {f"{name}.{index}.{key}": value for key, value in entries.items()}
+        tensors |= {f"{name}.0.{key}": value for key, value in optimizer.state.items()}
     tensors |= {f"agent.{name}": value for name, value in learner.agent.tensors().items()}
     for name, array in _arrays(learner).items():
         tensors[name] = torch.from_numpy(np.ascontiguousarray(array))
@@ -45,14 +44,14 @@ def save_training(path: Path, learner: Learner, iteration: int, seconds: float, 
 def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Read a training state and check that it belongs to ``config``.
 
-    The number of episodes may differ: a finished run can be prolonged.
+    The number of episodes may differ: a finished run can be prolonged. So may what only speed depends on.
 
     Raises:
         UserError: damaged file, or a run with other settings.
     """
     tensors, header = read_tensors(path, "training state")
     saved, wanted = {**ADDED, **header["config"]}, config.to_dict()
-    different = [name for name in wanted if name != "n_episodes" and saved.get(name) != wanted[name]]
+    different = [name for name in wanted if name not in ("n_episodes", *SPEED_ONLY) and saved.get(name) != wanted[name]]
     if different:
         raise UserError(
             f"{path.parent} holds a run with other settings ({', '.join(different)}); "
@@ -72,12 +71,8 @@ def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[
     for name, network in learner.networks().items():
         network.load_state_dict({key: tensors[f"{name}.{key}"] for key in network.state_dict()})
     for name, optimizer in learner.optimizers().items():
-        state: dict[int, dict[str, Tensor]] = {}
-        for key, value in tensors.items():
-            if key.startswith(f"{name}."):
-                index, entry = key.removeprefix(f"{name}.").split(".")
-                state.setdefault(int(index), {})[entry] = value
-        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+        for key, value in optimizer.state.items():
+            value.copy_(tensors[f"{name}.0.{key}"])
     with torch.no_grad():
         for name, value in learner.agent.tensors().items():
             value.copy_(tensors[f"agent.{name}"])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from napsp.agent import PolicyBatch, critic_targets_range
-from napsp.backprop import Backprop, adam, flatten
+from napsp.backprop import Adam, Backprop, compiled, flatten
 from napsp.config import TrainConfig
 from napsp.networks import Critic, GaussianPolicy, squash
 
@@ -21,23 +21,24 @@ class SAC:
         self.policy = GaussianPolicy(sizes, config.hidden)
         self.critic = Critic(sizes, config.hidden, n_critics=2)
         self.target_critic = copy.deepcopy(self.critic)
-        self._critic_vector, self._target_vector = flatten([self.critic]), flatten([self.target_critic])
+        vectors = [flatten([network]) for network in (self.policy, self.critic, self.target_critic)]
+        self._critic_vector, self._target_vector = vectors[1:]
         self.optimizers = {
-            "policy_optimizer": adam(flatten([self.policy]), config.policy_learning_rate),
-            "critic_optimizer": adam(self._critic_vector, config.policy_learning_rate),
+            "policy_optimizer": Adam(vectors[0], config.policy_learning_rate),
+            "critic_optimizer": Adam(vectors[1], config.policy_learning_rate),
         }
-        self._policy = Backprop(self.policy.net)
-        self._critics = [Backprop(net) for net in self.critic.nets]
-        self._targets = [Backprop(net) for net in self.target_critic.nets]
+        self._policy = Backprop(self.policy.net, vectors[0])
+        self._critics = [Backprop(net, vectors[1]) for net in self.critic.nets]
+        self._targets = [Backprop(net, vectors[2]) for net in self.target_critic.nets]
         self._min_log_alpha = math.log(config.min_entropy_weight)
         start = 0.1 if config.entropy_weight is None else config.entropy_weight
         self.log_alpha = torch.tensor(float(start)).log()
         if config.entropy_weight is None:
-            self.log_alpha.grad = torch.zeros(())
-            self.optimizers["alpha_optimizer"] = adam(self.log_alpha, config.policy_learning_rate)
+            self.optimizers["alpha_optimizer"] = Adam(self.log_alpha, config.policy_learning_rate)
         self._target_entropy = -float(sizes[1])
         self._discount, self._polyak = config.discount, config.polyak
         self._value_range = critic_targets_range(config)
+        self._step = compiled(self._gradient_step, config.compiled)
 
     def networks(self) -> dict[str, torch.nn.Module]:
         """All networks by name."""
@@ -54,19 +55,24 @@ class SAC:
         There is no terminal flag: goal reaching goes on after success, and a time limit is
         not an end of the task.
         """
+        noise = torch.randn((2 * len(batch.rewards), batch.actions.shape[1]), generator=generator)
+        return self._step(batch, noise)
+
+    def _gradient_step(self, batch: PolicyBatch, noise: Tensor) -> dict[str, Tensor]:
         alpha, n = self.log_alpha.exp(), len(batch.rewards)
         # The policy does not change before both of its passes are done, so they are one pass.
         states = torch.cat([batch.next_observations, batch.observations])
         outputs, tape = self._policy.forward(torch.cat([states, batch.goals.repeat(2, 1)], dim=1))
-        actions, log_density, noise, log_std = squash(outputs, generator)
+        actions, log_density, log_std = squash(outputs, noise)
         metrics = self._update_critics(batch, actions[:n], log_density[:n], alpha)
         current = slice(n, None)
         value_slope = self._value_slope(batch, actions[current])
-        slopes = _policy_slopes(
+        outputs_slope = _outputs_slope(
             outputs[current], actions[current], noise[current], log_std[current], value_slope, alpha
         )
-        self._policy.backward(tape.part(current), slopes)
-        self.optimizers["policy_optimizer"].step()
+        tape = tape.part(current)
+        slopes = self._policy.slopes(tape, outputs_slope)
+        self.optimizers["policy_optimizer"].update(self._policy.gradients(tape, slopes))
         self._update_alpha(log_density[current])
         self._target_vector.lerp_(self._critic_vector, self._polyak)
         return {**metrics, "entropy_weight": alpha}
@@ -79,11 +85,12 @@ class SAC:
         targets = batch.rewards + self._discount * (next_values - alpha * log_density)
         targets = targets.clamp(*self._value_range).unsqueeze(1)
         inputs = torch.cat([batch.observations, batch.actions, batch.goals], dim=1)
+        gradients = []
         for critic in self._critics:
             values, tape = critic.forward(inputs)
             errors = values - targets
-            critic.backward(tape, errors * (2.0 / len(errors)))
-        self.optimizers["critic_optimizer"].step()
+            gradients += critic.gradients(tape, critic.slopes(tape, errors * (2.0 / len(errors))))
+        self.optimizers["critic_optimizer"].update(gradients)
         return {"critic_loss": errors.square().mean(), "mean_value": targets.mean()}
 
     def _value_slope(self, batch: PolicyBatch, actions: Tensor) -> Tensor:
@@ -92,19 +99,21 @@ class SAC:
         (first, first_tape), (second, second_tape) = (critic.forward(inputs) for critic in self._critics)
         chosen, width = (first < second).to(first.dtype), batch.observations.shape[1]
         columns = slice(width, width + actions.shape[1])
-        slope = self._critics[0].backward(first_tape, chosen, parameters=False, inputs=columns)
-        return slope + self._critics[1].backward(second_tape, 1.0 - chosen, parameters=False, inputs=columns)
+        first_slopes = self._critics[0].slopes(first_tape, chosen)
+        second_slopes = self._critics[1].slopes(second_tape, 1.0 - chosen)
+        return self._critics[0].input_slope(first_slopes, columns) + self._critics[1].input_slope(
+            second_slopes, columns
+        )
 
     def _update_alpha(self, log_density: Tensor) -> None:
         """Alpha falls while the policy's entropy exceeds the target, and rises below it."""
         if "alpha_optimizer" in self.optimizers:
             # The gradient of -log_alpha * (log pi + target entropy).
-            self.log_alpha.grad = -(log_density.mean() + self._target_entropy)
-            self.optimizers["alpha_optimizer"].step()
+            self.optimizers["alpha_optimizer"].update([-(log_density.mean() + self._target_entropy)])
             self.log_alpha.clamp_(min=self._min_log_alpha)
 
 
-def _policy_slopes(
+def _outputs_slope(
     outputs: Tensor, actions: Tensor, noise: Tensor, log_std: Tensor, value_slope: Tensor, alpha: Tensor
 ) -> Tensor:
     """Gradient of mean(alpha * log pi(a) - min Q(a)), a = tanh(mean + std * noise), by the outputs ``(B, 2 A)``."""

@@ -1,14 +1,16 @@
 """Hand-written gradients equal autograd's; flat parameters stay the networks' own."""
 
 import copy
+import shutil
 
 import numpy as np
 import pytest
 import torch
 
 from napsp.agent import PolicyBatch
-from napsp.backprop import Backprop, adam, flatten
+from napsp.backprop import COMPILERS, Adam, Backprop, flatten
 from napsp.ddpg import DDPG
+from napsp.errors import UserError
 from napsp.losses import squared_error
 from napsp.networks import Policy, mlp, rescale
 from napsp.presets import preset
@@ -17,6 +19,8 @@ from napsp.sac import SAC, squash
 from napsp.scaling import Scaling
 
 SIZES = (5, 2, 3)
+needs_compiler = pytest.mark.skipif(not any(map(shutil.which, COMPILERS)), reason="no C++ compiler")
+torch_warns_itself = pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated")  # in its own import
 
 
 def batch(n=64):
@@ -33,29 +37,32 @@ def gradients(loss, network):
     return torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, list(network.parameters()))])
 
 
-def written(network):
-    return torch.cat([parameter.grad.reshape(-1) for parameter in network.parameters()])
+def written(optimizer):
+    """The only gradient that an optimiser has seen so far."""
+    return optimizer.state["exp_avg"] / 0.1
+
+
+def noise_like(generator, n_rows=64):
+    return torch.randn((2 * n_rows, SIZES[1]), generator=generator)
 
 
 def test_backprop_equals_autograd():
     torch.manual_seed(0)
     net = mlp(4, (16, 8), 3).double()
-    flatten([net])
+    other = mlp(2, (3,), 1).double()
+    vector = flatten([other, net])
     inputs = torch.randn(10, 4, dtype=torch.double, requires_grad=True)
     weights = torch.randn(10, 3, dtype=torch.double)
     outputs = net(inputs)
     expected = gradients((outputs * weights).sum(), net)
     (expected_inputs,) = torch.autograd.grad((net(inputs) * weights).sum(), inputs)
     with torch.no_grad():
-        backprop = Backprop(net)
+        backprop = Backprop(net, vector)
         own, tape = backprop.forward(inputs)
-        slope = backprop.backward(tape, weights, inputs=slice(1, 3))
+        slopes = backprop.slopes(tape, weights)
         torch.testing.assert_close(own, outputs.detach())
-        torch.testing.assert_close(written(net), expected)
-        torch.testing.assert_close(slope, expected_inputs[:, 1:3])
-        net[0].weight.grad.zero_()
-        backprop.backward(tape, weights, parameters=False)
-        assert not net[0].weight.grad.any()
+        torch.testing.assert_close(torch.cat([g.reshape(-1) for g in backprop.gradients(tape, slopes)]), expected)
+        torch.testing.assert_close(backprop.input_slope(slopes, slice(1, 3)), expected_inputs[:, 1:3])
 
 
 def test_flat_parameters_are_views_and_adam_equals_torch():
@@ -63,17 +70,16 @@ def test_flat_parameters_are_views_and_adam_equals_torch():
     net = mlp(3, (8,), 2)
     twin = copy.deepcopy(net)
     vector = flatten([net])
-    ours, theirs = adam(vector, 1e-2), torch.optim.Adam(twin.parameters(), lr=1e-2)
+    ours, theirs = Adam(vector, 1e-2), torch.optim.Adam(twin.parameters(), lr=1e-2)
     inputs = torch.randn(6, 3)
     for _ in range(20):
         twin.zero_grad()
         twin(inputs).square().sum().backward()
         theirs.step()
         with torch.no_grad():
-            backprop = Backprop(net)
+            backprop = Backprop(net, vector)
             outputs, tape = backprop.forward(inputs)
-            backprop.backward(tape, 2.0 * outputs)
-        ours.step()
+            ours.update(backprop.gradients(tape, backprop.slopes(tape, 2.0 * outputs)))
     torch.testing.assert_close(net(inputs), twin(inputs))
     net.load_state_dict(copy.deepcopy(net).state_dict())
     assert net[0].weight.data_ptr() == vector.data_ptr()
@@ -98,7 +104,7 @@ def test_distance_step_is_the_gradient_of_the_mean_squared_error_in_units_of_t(o
     loss, own = regression.fit(inputs, labels, n_sampled=64, weight=0.5)
     torch.testing.assert_close(own, predictions.detach())
     torch.testing.assert_close(loss, ((predictions.detach() - labels) / 50).square().mean())
-    torch.testing.assert_close(written(regression.distance), expected, atol=1e-7, rtol=1e-4)
+    torch.testing.assert_close(written(regression.optimizer), expected, atol=1e-7, rtol=1e-4)
 
 
 def test_sac_gradients_equal_autograd():
@@ -112,18 +118,20 @@ def test_sac_gradients_equal_autograd():
 
     policy, critic, target = (before[name] for name in ("policy", "critic", "target_critic"))
     states = torch.cat([rows.next_observations, rows.observations])
-    actions, log_density, *_ = squash(policy(states, rows.goals.repeat(2, 1)), generator)
+    actions, log_density, *_ = squash(policy(states, rows.goals.repeat(2, 1)), noise_like(generator))
     (next_actions, actions), (next_log_density, log_density) = actions.chunk(2), log_density.chunk(2)
     with torch.no_grad():
         values = target(rows.next_observations, next_actions, rows.goals).amin(0) - alpha * next_log_density
         targets = (rows.rewards + 0.98 * values).clamp(-50.0, 0.0)
     loss = (critic(rows.observations, rows.actions, rows.goals) - targets).square().mean(1).sum()
-    torch.testing.assert_close(written(agent.critic), gradients(loss, critic), atol=1e-6, rtol=1e-3)
+    torch.testing.assert_close(
+        written(agent.optimizers["critic_optimizer"]), gradients(loss, critic), atol=1e-6, rtol=1e-3
+    )
 
     values = agent.critic(rows.observations, actions, rows.goals).amin(0)
     expected = gradients((alpha * log_density - values).mean(), policy)
-    torch.testing.assert_close(written(agent.policy), expected, atol=1e-6, rtol=1e-3)
-    torch.testing.assert_close(agent.log_alpha.grad, -(log_density.mean().detach() - 2.0))
+    torch.testing.assert_close(written(agent.optimizers["policy_optimizer"]), expected, atol=1e-6, rtol=1e-3)
+    torch.testing.assert_close(written(agent.optimizers["alpha_optimizer"]), -(log_density.mean().detach() - 2.0))
     moved = [p + 0.01 * (q - p) for p, q in zip(target.parameters(), agent.critic.parameters(), strict=True)]
     for own, wanted in zip(agent.target_critic.parameters(), moved, strict=True):
         torch.testing.assert_close(own, wanted.detach())
@@ -145,11 +153,15 @@ def test_ddpg_gradients_equal_autograd(clipped_double_q):
         targets = (rows.rewards + 0.98 * values.amin(0)).clamp(-50.0, 0.0)
     errors = critic(rows.observations, rows.actions, rows.goals) - targets
     loss = errors.square().mean(1).sum()
-    torch.testing.assert_close(written(agent.critic), gradients(loss, critic), atol=1e-6, rtol=1e-3)
+    torch.testing.assert_close(
+        written(agent.optimizers["critic_optimizer"]), gradients(loss, critic), atol=1e-6, rtol=1e-3
+    )
 
     actions = policy.mode(rows.observations, rows.goals)
     loss = -agent.critic(rows.observations, actions, rows.goals)[0].mean() + 0.7 * actions.square().mean()
-    torch.testing.assert_close(written(agent.policy), gradients(loss, policy), atol=1e-6, rtol=1e-3)
+    torch.testing.assert_close(
+        written(agent.optimizers["policy_optimizer"]), gradients(loss, policy), atol=1e-6, rtol=1e-3
+    )
     assert not torch.equal(agent.target_policy.net[0].weight, policy.net[0].weight)
 
 
@@ -170,3 +182,44 @@ def test_rescaling_inputs_keeps_every_function():
             rescale(network, second)
             torch.testing.assert_close(network(*inputs).detach(), before, atol=1e-5, rtol=1e-4)
             np.testing.assert_array_equal(network.scaling.numbers().goal_mean, second.goal_mean)
+
+
+def after_updates(agent_class, **changes):
+    torch.manual_seed(0)
+    agent, generator = agent_class(SIZES, config(**changes)), torch.Generator().manual_seed(3)
+    metrics = [agent.update(batch(), generator) for _ in range(3)]
+    return agent, {k: float(v) for k, v in metrics[-1].items()}
+
+
+@pytest.mark.slow
+@needs_compiler
+@torch_warns_itself
+@pytest.mark.parametrize("agent_class", [SAC, DDPG])
+def test_compiled_updates_equal_the_others_to_rounding(agent_class):
+    name = agent_class.__name__.lower()
+    (plain, metrics), (agent, own) = (after_updates(agent_class, agent=name, compiled=c) for c in (False, True))
+    assert own == pytest.approx(metrics, rel=1e-4)
+    for network, expected in zip(agent.networks().values(), plain.networks().values(), strict=True):
+        for parameter, wanted in zip(network.parameters(), expected.parameters(), strict=True):
+            torch.testing.assert_close(parameter, wanted, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.slow
+@needs_compiler
+@torch_warns_itself
+def test_compiled_distance_steps_equal_the_others_to_rounding():
+    rows, losses = batch(), []
+    inputs = torch.cat([rows.observations, rows.actions, rows.goals], dim=1)
+    for compiled in (False, True):
+        torch.manual_seed(0)
+        regression = DistanceRegression(SIZES, config(compiled=compiled))
+        regression.fit(inputs, 50 * rows.rewards, n_sampled=64)
+        few = regression.fit(inputs[:5], 50 * rows.rewards[:5], n_sampled=64, weight=0.5)  # as of eq. 4b
+        losses.append(torch.stack([few[0], regression.fit(inputs, 50 * rows.rewards, n_sampled=64)[0]]))
+    torch.testing.assert_close(losses[1], losses[0], rtol=1e-4, atol=1e-6)
+
+
+def test_compiling_without_a_compiler_says_so(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(UserError, match="C\\+\\+ compiler"):
+        DistanceRegression(SIZES, config(compiled=True))
