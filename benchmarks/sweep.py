@@ -43,6 +43,8 @@ class SweepOptions:
     """Train ours with labels of first arrival, see napsp.train; the other methods stay as they are."""
     episodes_per_iteration: int | None = None
     """Episodes collected per iteration; None takes each task's own. Updates are per iteration."""
+    compiled: bool = False
+    """Compile the updates, see napsp.train: faster cells, the same but for rounding."""
     again: bool = False
     """Also train cells whose curves are in results/runs already; those stay as they are there."""
     jobs: int = 1
@@ -58,6 +60,7 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
         for env in options.envs:
             for method in options.methods:
                 asked: dict[str, Any] = {"first_arrival": options.first_arrival and method == "ours"}
+                asked["compiled"] = options.compiled
                 for name in ("n_episodes", "episodes_per_iteration"):
                     if getattr(options, name) is not None:
                         asked[name] = getattr(options, name)

@@ -61,13 +61,14 @@ def learner_table() -> list[str]:
         "",
         "HER + SAC updates per second, relabelling included: same networks, batch, task and threads, in turn.",
         "",
-        "| networks | batch | threads | matrix products | ours | Stable-Baselines3 | ratio | share of the matrix-product speed |",
-        "|---|---|---|---|---|---|---|---|",
+        "| networks | batch | threads | matrix products | our updates | ours | Stable-Baselines3 | ratio | share of the matrix-product speed |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for path in sorted(RESULTS.glob("learner_speed_*.json")):
         row = json.loads(path.read_text())
         lines.append(
-            f"| {row['hidden']} | {row['batch_size']} | {row['threads']} | {row.get('matmul_precision', 'highest')} | {row['ours_updates_per_second']:.0f} "
+            f"| {row['hidden']} | {row['batch_size']} | {row['threads']} | {row.get('matmul_precision', 'highest')} "
+            f"| {'compiled' if row.get('compiled') else '-'} | {row['ours_updates_per_second']:.0f} "
             f"| {row['stable_baselines3_updates_per_second']:.0f} | {row['ours_over_stable_baselines3']:.2f} "
             f"| {row['share_of_matrix_product_speed']:.2f} |"
         )

@@ -56,12 +56,16 @@ class Backprop:
         self._start = parameters[0].storage_offset()
         self._sizes = [parameter.numel() for parameter in parameters]
         self._shapes = [parameter.shape for parameter in parameters]
+        self._views = self._read()
 
-    def _layers(self) -> list[tuple[Tensor, Tensor]]:
-        """Weight and bias of each layer, read off the vector: inside a compiled step only the vector is an input."""
+    def _read(self) -> list[tuple[Tensor, Tensor]]:
         parts = self._vector[self._start : self._start + sum(self._sizes)].split(self._sizes)
         parameters = [part.view(shape) for part, shape in zip(parts, self._shapes, strict=True)]
         return list(zip(parameters[::2], parameters[1::2], strict=True))
+
+    def _layers(self) -> list[tuple[Tensor, Tensor]]:
+        """Weight and bias of each layer; a compiled step reads them off the vector, to have it as its only input."""
+        return self._read() if torch.compiler.is_compiling() else self._views
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tape]:
         """Outputs ``(B, n)``, and the tape for :meth:`slopes`."""
