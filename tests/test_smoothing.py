@@ -20,6 +20,8 @@ from mpc.smoothing_distance import SmoothDistance
 from mpc.smoothing_problem import SOLVERS, Problem, Roughness, SolverError
 from napsp.envs.dynamics import get_state
 from planners.mppi import MPPI
+from planners.search_options import SmoothOptions
+from planners.session import Session
 from planners.smooth import Held
 
 
@@ -258,3 +260,14 @@ def test_figures_of_smoothness():
 def test_planning_without_smoothing_imports_no_casadi():
     code = "import sys, planners.session, planners.report, planners.smooth; assert 'casadi' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(("changes", "plans"), [
+    ({}, 2), ({"greedy_proposals": True}, 3), ({"proposals": False}, 1), ({"start": "zero"}, 1),
+])  # fmt: skip
+def test_smoothing_alone_counts_the_plans_that_it_tries(changes, plans):
+    options = SmoothOptions(env="point_maze", **changes)
+    session = Session.open("smooth", options)
+    observation, _ = session.env.reset(seed=0)
+    assert len(session.controller.plan(session.env.unwrapped, observation).costs) == plans == options.samples
+    session.close()
