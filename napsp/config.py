@@ -25,8 +25,8 @@ class TrainConfig:
     """Options of Algorithm 1. Lengths are in control steps, distances in steps."""
 
     env: str = "fetch_wall"
-    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall, fetch_pick_place, fetch_pick_place_wall or claw;
-    a Gymnasium id such as FetchPush-v4, or your own module:Class."""
+    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall, fetch_wall_high, fetch_pick_place,
+    fetch_pick_place_wall or claw; a Gymnasium id such as FetchPush-v4, or your own module:Class."""
     method: str = "ours"
     """sparse: binary reward. ddl: on-policy temporal regression. offpolicy_ddl: eq. 4a.
     ours: eq. 4a and 4b (the paper)."""

@@ -48,6 +48,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "policy_learning_rate": 3e-4,
     },
     "fetch_wall": {"n_episodes": 500},
+    "fetch_wall_high": {"n_episodes": 1000, "evaluate_every": 100},
     "fetch_pick_place": PICK_PLACE,
     "fetch_pick_place_wall": PICK_PLACE,
     "fetch_pick_place_plain": PICK_PLACE,

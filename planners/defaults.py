@@ -2,7 +2,7 @@
 
 HORIZONS = {
     **dict.fromkeys(("point_maze", "point_maze_long"), 16),
-    **dict.fromkeys(("fetch_reach", "fetch_wall"), 5),
+    **dict.fromkeys(("fetch_reach", "fetch_wall", "fetch_wall_high"), 5),
     **dict.fromkeys(("fetch_pick_place", "fetch_pick_place_wall"), 8),
     **dict.fromkeys(("fetch_pick_place_plain", "fetch_pick_place_wall_plain"), 15),
     "claw": 10,

@@ -46,7 +46,7 @@ class PlanOptions:
     """Plan with MuJoCo rollouts, step after step, and report how it went."""
 
     env: str = "fetch_wall"
-    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall (= fetch_reach_wall),
+    """Task: point_maze, point_maze_long, fetch_reach, fetch_wall (= fetch_reach_wall), fetch_wall_high,
     fetch_pick_place, fetch_pick_place_wall or claw;
     a Gymnasium id such as FetchPush-v4, or your own module:Class."""
     episodes: int = 10

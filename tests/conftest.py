@@ -19,6 +19,7 @@ TASKS = (
     "point_maze_long",
     "fetch_reach",
     "fetch_wall",
+    "fetch_wall_high",
     "fetch_pick_place",
     "fetch_pick_place_wall",
     "claw",

@@ -112,8 +112,9 @@ def test_rendering_does_not_change_the_dynamics(name, worlds):
     drawn.close()
 
 
-def test_fetch_wall_is_solid_and_can_be_crossed_only_above(worlds):
-    world = worlds["fetch_wall"]
+@pytest.mark.parametrize("name", ["fetch_wall", "fetch_wall_high"])
+def test_fetch_wall_is_solid_and_can_be_crossed_only_above(worlds, name):
+    world = worlds[name]
     rng = np.random.default_rng(0)
     for episode in range(6):  # full push into the wall with random sideways drift
         world.reset(seed=episode)
@@ -123,11 +124,11 @@ def test_fetch_wall_is_solid_and_can_be_crossed_only_above(worlds):
             grip = world.step(push)[0]["achieved_goal"]
         assert grip[1] < world.WALL_Y, "the gripper went through the wall or around it"
     observation, _ = world.reset(seed=0)
-    success = False
+    clear, success = world.TABLE_TOP + world.wall_height + 0.06, False
     for _ in range(50):  # up, across, down
         grip, goal = observation["achieved_goal"], observation["desired_goal"]
-        over = np.array([grip[0], goal[1], 0.66]) if grip[1] < 0.83 else goal
-        target = grip + np.array([0, 0, 0.1]) if grip[1] < 0.7 and grip[2] < 0.64 else over
+        over = np.array([grip[0], goal[1], clear]) if grip[1] < 0.83 else goal
+        target = grip + np.array([0, 0, 0.1]) if grip[1] < 0.7 and grip[2] < clear - 0.02 else over
         action = np.append(np.clip((target - grip) / 0.033, -1, 1), 0.0)
         observation, _, _, _, info = world.step(action)
         success |= info["is_success"]

@@ -20,6 +20,12 @@ TASKS: dict[str, tuple[str, str, dict, int]] = {
     "point_maze_long": ("napsp/PointMazeLong-v0", "napsp.envs.point_maze:PointMazeEnv", {"scale": 4.0}, 200),
     "fetch_reach": ("napsp/FetchReach-v0", "napsp.envs.fetch:FetchReachEnv", {}, 50),
     "fetch_wall": ("napsp/FetchReachWall-v0", "napsp.envs.fetch:FetchReachWallEnv", {}, 50),
+    "fetch_wall_high": (
+        "napsp/FetchReachWallHigh-v0",
+        "napsp.envs.fetch:FetchReachWallEnv",
+        {"wall_height": 0.4},
+        50,
+    ),
     "fetch_pick_place": ("napsp/FetchPickPlace-v0", "napsp.envs.fetch_pick_place:FetchPickPlaceEnv", {}, 50),
     "fetch_pick_place_wall": (
         "napsp/FetchPickPlaceWall-v0",
