@@ -68,7 +68,7 @@ def learner_table() -> list[str]:
         row = json.loads(path.read_text())
         lines.append(
             f"| {row['hidden']} | {row['batch_size']} | {row['threads']} | {row.get('matmul_precision', 'highest')} "
-            f"| {'compiled' if row.get('compiled') else '-'} | {row['ours_updates_per_second']:.0f} "
+            f"| {'compiled' if row.get('compiled') else 'not compiled'} | {row['ours_updates_per_second']:.0f} "
             f"| {row['stable_baselines3_updates_per_second']:.0f} | {row['ours_over_stable_baselines3']:.2f} "
             f"| {row['share_of_matrix_product_speed']:.2f} |"
         )

@@ -1,24 +1,18 @@
 """Gradients of an :func:`~napsp.networks.mlp` written out, and Adam on one flat vector.
 
 At the widths and batches used here autograd and per-tensor optimisers take as long as the
-arithmetic. Written out, a gradient step is little more than its matrix products, runs on any
-device, and is plain enough for ``torch.compile`` to make one program of it.
+arithmetic. Written out, a gradient step is little more than its matrix products, and plain
+enough for ``torch.compile`` to make one program of it.
 """
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.optim.adam import adam
-
-from napsp.errors import UserError
-
-COMPILERS = ("g++", "clang++", "cl")
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Tape(NamedTuple):
@@ -133,17 +127,3 @@ class Adam:
             foreach=False, fused=not compiling, amsgrad=False, beta1=0.9, beta2=0.999, lr=self._learning_rate,
             weight_decay=0.0, eps=1e-8, maximize=False,
         )  # fmt: skip
-
-
-def compiled(function: Function, wanted: bool) -> Function:
-    """A function as one compiled program, if wanted.
-
-    Raises:
-        UserError: there is no C++ compiler to do it with.
-    """
-    if not wanted:
-        return function
-    if not any(map(shutil.which, COMPILERS)):
-        raise UserError("--compiled needs a C++ compiler such as g++ on the PATH; install one or leave it out")
-    torch.compiler.reset()  # programs of earlier learners in this process count towards a limit
-    return torch.compile(function, fullgraph=True, dynamic=False)  # type: ignore[return-value]

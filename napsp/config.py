@@ -54,8 +54,9 @@ class TrainConfig:
     """torch's precision of float32 matrix products while training; medium lets processors with
     bfloat16 units multiply up to four times faster, with 8-bit mantissas and float32 sums."""
     compiled: bool = False
-    """Make one compiled program of each kind of update (torch.compile; needs a C++ compiler). The first time
-    this takes about a minute. Results differ in rounding alone, so this is not part of the configuration's hash."""
+    """Make one compiled program of a policy update and one of a step on eq. 4a (torch.compile; needs a C++ compiler;
+    the first time this takes up to a minute). An update differs in rounding alone, so this is not part of the
+    configuration's hash; runs drift apart from it as they do on another machine."""
 
     # -- distance network --
     hidden: tuple[int, ...] = (256, 256)
@@ -203,7 +204,6 @@ ADDED = {
     "clipped_double_q": False,
     "slow_distance": False,
     "first_arrival": False,
-    "compiled": False,
 }
 MANY, TINY = 10**9, 1e-12
 RANGES: dict[str, tuple[float, float]] = {

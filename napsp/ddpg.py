@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from napsp.agent import PolicyBatch, critic_targets_range
-from napsp.backprop import Adam, Backprop, compiled, flatten
+from napsp.backprop import Adam, Backprop, flatten
+from napsp.compiled import compiled
 from napsp.config import TrainConfig
 from napsp.networks import Critic, DeterministicPolicy
 

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from napsp.backprop import Adam, Backprop, compiled, flatten
+from napsp.backprop import Adam, Backprop, flatten
+from napsp.compiled import compiled
 from napsp.config import TrainConfig
 from napsp.losses import squared_error
 from napsp.networks import DistanceNetwork
@@ -55,7 +56,8 @@ class DistanceRegression:
         Returns:
             The loss and the predictions ``(B,)`` in steps before it.
         """
-        whole = len(inputs) == self._batch_size  # compiled for this number of rows alone
+        # Eq. 4a; how many tuples of eq. 4b pass its test differs, and each number would be a program of its own.
+        whole = len(inputs) == n_sampled == self._batch_size and weight == 1.0
         return (self._step if whole else self._gradient_step)(inputs, labels, n_sampled, weight)
 
     def _gradient_step(self, inputs: Tensor, labels: Tensor, n_sampled: int, weight: float) -> tuple[Tensor, Tensor]:

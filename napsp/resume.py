@@ -72,7 +72,10 @@ def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[
         network.load_state_dict({key: tensors[f"{name}.{key}"] for key in network.state_dict()})
     for name, optimizer in learner.optimizers().items():
         for key, value in optimizer.state.items():
-            value.copy_(tensors.get(f"{name}.0.{key}", value))  # older files lack what had no step yet
+            saved = tensors.get(f"{name}.0.{key}", value)  # older files lack what had not made a step yet
+            if saved.shape != value.shape:
+                raise UserError(f"{name} of the training state has another size; --restart begins anew")
+            value.copy_(saved)
     with torch.no_grad():
         for name, value in learner.agent.tensors().items():
             value.copy_(tensors[f"agent.{name}"])

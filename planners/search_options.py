@@ -78,7 +78,7 @@ class SmoothOptions(PlanOptions):
     """What is smoothed: the cheaper of the last plan and the policy's own rollout, or the last plan only, which
     starts at zero."""
     samples: int = 2
-    """The plan and what it is compared with: set by --start and the two --proposals options."""
+    """Not used: the plan is compared with what --start and the two --proposals options bring."""
     smooth: bool = True
     """Smoothing is what this command does."""
     smooth_multiples: tuple[float, ...] | None = (1.0,)
@@ -89,11 +89,6 @@ class SmoothOptions(PlanOptions):
     """Linearise, solve and verify so many times per plan."""
     smooth_accept: Literal["smoother", "better"] = "better"
     """As for the other planners; without a search, the layer has to find the way as well."""
-
-    def __post_init__(self) -> None:
-        proposed = int(self.proposals) + int(self.greedy_proposals) if self.start == "policy" else 0
-        object.__setattr__(self, "samples", 1 + proposed)
-        super().__post_init__()
 
 
 OPTIONS: dict[str, type[PlanOptions]] = {

@@ -1,14 +1,15 @@
 """Hand-written gradients equal autograd's; flat parameters stay the networks' own."""
 
 import copy
-import shutil
 
 import numpy as np
 import pytest
 import torch
+from torch._dynamo.utils import counters
 
 from napsp.agent import PolicyBatch
-from napsp.backprop import COMPILERS, Adam, Backprop, flatten
+from napsp.backprop import Adam, Backprop, flatten
+from napsp.compiled import cpp_compiler
 from napsp.ddpg import DDPG
 from napsp.errors import UserError
 from napsp.losses import squared_error
@@ -19,7 +20,7 @@ from napsp.sac import SAC, squash
 from napsp.scaling import Scaling
 
 SIZES = (5, 2, 3)
-needs_compiler = pytest.mark.skipif(not any(map(shutil.which, COMPILERS)), reason="no C++ compiler")
+needs_compiler = pytest.mark.skipif(cpp_compiler() is None, reason="no C++ compiler")
 torch_warns_itself = pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated")  # in its own import
 
 
@@ -197,7 +198,9 @@ def after_updates(agent_class, **changes):
 @pytest.mark.parametrize("agent_class", [SAC, DDPG])
 def test_compiled_updates_equal_the_others_to_rounding(agent_class):
     name = agent_class.__name__.lower()
+    counters.clear()
     (plain, metrics), (agent, own) = (after_updates(agent_class, agent=name, compiled=c) for c in (False, True))
+    assert counters["stats"]["unique_graphs"] == 1
     assert own == pytest.approx(metrics, rel=1e-4)
     for network, expected in zip(agent.networks().values(), plain.networks().values(), strict=True):
         for parameter, wanted in zip(network.parameters(), expected.parameters(), strict=True):
@@ -209,6 +212,7 @@ def test_compiled_updates_equal_the_others_to_rounding(agent_class):
 @torch_warns_itself
 def test_compiled_distance_steps_equal_the_others_to_rounding():
     rows, losses = batch(), []
+    counters.clear()
     inputs = torch.cat([rows.observations, rows.actions, rows.goals], dim=1)
     for compiled in (False, True):
         torch.manual_seed(0)
@@ -216,10 +220,12 @@ def test_compiled_distance_steps_equal_the_others_to_rounding():
         regression.fit(inputs, 50 * rows.rewards, n_sampled=64)
         few = regression.fit(inputs[:5], 50 * rows.rewards[:5], n_sampled=64, weight=0.5)  # as of eq. 4b
         losses.append(torch.stack([few[0], regression.fit(inputs, 50 * rows.rewards, n_sampled=64)[0]]))
+    assert counters["stats"]["unique_graphs"] == 1
     torch.testing.assert_close(losses[1], losses[0], rtol=1e-4, atol=1e-6)
 
 
 def test_compiling_without_a_compiler_says_so(monkeypatch):
     monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CXX", raising=False)
     with pytest.raises(UserError, match="C\\+\\+ compiler"):
         DistanceRegression(SIZES, config(compiled=True))

@@ -265,9 +265,12 @@ def test_planning_without_smoothing_imports_no_casadi():
 @pytest.mark.parametrize(("changes", "plans"), [
     ({}, 2), ({"greedy_proposals": True}, 3), ({"proposals": False}, 1), ({"start": "zero"}, 1),
 ])  # fmt: skip
-def test_smoothing_alone_counts_the_plans_that_it_tries(changes, plans):
-    options = SmoothOptions(env="point_maze", **changes)
-    session = Session.open("smooth", options)
-    observation, _ = session.env.reset(seed=0)
-    assert len(session.controller.plan(session.env.unwrapped, observation).costs) == plans == options.samples
+def test_smoothing_alone_counts_the_plans_that_it_tries(changes, plans, monkeypatch):
+    session = Session.open("smooth", SmoothOptions(env="point_maze", **changes))
+    counted = []
+    monkeypatch.setattr("planners.session.raw_speed_fraction", lambda *arguments: counted.append(arguments[3]))
+    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 1)
+    session.run_episode(seed=0)
+    session.raw_speed_fraction()
+    assert counted == [plans]
     session.close()

@@ -19,7 +19,7 @@ from napsp.config import ADDED, METHODS, RANGES, TrainConfig, from_dict
 from napsp.errors import UserError
 from napsp.networks import DistanceNetwork, GaussianPolicy
 from napsp.presets import preset
-from napsp.resume import STATE_FILE
+from napsp.resume import STATE_FILE, read_training
 from napsp.train import parse, train
 
 TINY = {
@@ -167,6 +167,35 @@ def test_a_run_begun_before_an_option_existed_is_continued(tmp_path):
     header["config"] = {name: value for name, value in header["config"].items() if name not in ADDED}
     write_tensors(tmp_path / STATE_FILE, tensors, header)
     assert train(tiny(), tmp_path)[-1]["episodes"] == tiny().n_episodes
+
+
+def test_a_state_whose_distance_had_made_no_step_is_continued(tmp_path):
+    """Older versions did not store an optimiser before its first step."""
+    train(tiny(method="sparse", n_episodes=8), tmp_path)
+    tensors, header = read_tensors(tmp_path / STATE_FILE, "training state")
+    old = {name: value for name, value in tensors.items() if not name.startswith("distance_optimizer.")}
+    write_tensors(tmp_path / STATE_FILE, old, header)
+    continued = train(tiny(method="sparse"), tmp_path)
+    assert str(learned(continued)) == str(learned(train(tiny(method="sparse"), tmp_path / "whole")))  # NaN and all
+
+
+def test_compiling_changes_neither_the_hash_nor_whose_run_it_is(tmp_path):
+    assert tiny(compiled=True).hash() == tiny().hash()
+    train(tiny(n_episodes=8), tmp_path)
+    read_training(tmp_path / STATE_FILE, tiny(compiled=True))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a compiler made of a shell script")
+def test_a_compiler_that_fails_is_one_sentence(tmp_path):
+    (tmp_path / "g++").write_text("#!/bin/sh\nexit 1\n")
+    (tmp_path / "g++").chmod(0o755)
+    surroundings = {k: v for k, v in os.environ.items() if k != "CXX"}
+    surroundings |= {"PATH": f"{tmp_path}:{os.environ['PATH']}", "TORCHINDUCTOR_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "napsp.train", "--env", "point_maze", "--compiled", "--n-warmup-episodes", "4"]
+    done = subprocess.run([*command, "--out", str(tmp_path / "run")], env=surroundings, capture_output=True, text=True)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "compiling the updates failed" in done.stderr and "leave --compiled out" in done.stderr
 
 
 def test_command_line_defaults_follow_the_task():
