@@ -51,7 +51,7 @@ TITLES = {
 
 
 def current_runs(env: str) -> dict[str, list[dict[str, Any]]]:
-    """Published runs of a task by method or named option; only those of today's presets, of each seed the longest."""
+    """Published runs of a task by method or named option: of today's presets, and of the most episodes among those."""
     longest: dict[tuple[str, int], dict[str, Any]] = {}
     for run in sorted(learning_curves(env), key=lambda run: run["config"]["n_episodes"]):
         name = line_of(env, run["config_hash"], run["config"]["n_episodes"])
@@ -60,6 +60,9 @@ def current_runs(env: str) -> dict[str, list[dict[str, Any]]]:
     runs: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for (name, _), run in sorted(longest.items()):
         runs[name].append(run)
+    for name, group in runs.items():  # seeds of one length: a mean over others would compare different amounts
+        most = max(run["config"]["n_episodes"] for run in group)
+        runs[name] = [run for run in group if run["config"]["n_episodes"] == most]
     return runs
 
 

@@ -14,7 +14,6 @@ over time, so the ratios are those of total times; medians of the per-state rati
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -30,7 +29,7 @@ from mujoco.rollout import Rollout
 
 from benchmarks.cells import report
 from mpc.controller import Plan
-from mpc.rollout import RolloutEngine
+from mpc.rollout import RolloutEngine, available_cores
 from mpc.speed import HELD, RawRollout
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision
@@ -218,7 +217,7 @@ def main() -> int:
         "horizon": options.horizon,
         "proposals": options.proposals,
         "planning_model": options.planning_model,
-        "threads": options.threads or os.cpu_count(),
+        "threads": options.threads or available_cores(),
         "mujoco": mujoco.__version__,
         "gymnasium": gymnasium.__version__,
         "revision": git_revision(),

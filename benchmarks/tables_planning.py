@@ -100,11 +100,13 @@ def cost_table() -> list[str]:
         n = sum(int(row["episodes"]) for row in rows)
         successes = sum(round(float(row["success_rate"]) * int(row["episodes"])) for row in rows)
         any_rate = sum(float(row["any_success_rate"]) for row in rows) / len(rows)
-        steps = [float(row["mean_steps_to_goal"]) for row in rows if row["mean_steps_to_goal"]]
+        hits = [float(row["any_success_rate"]) * int(row["episodes"]) for row in rows]
+        arrived = [(n_hits, row["mean_steps_to_goal"]) for n_hits, row in zip(hits, rows, strict=True) if n_hits]
+        steps = sum(n_hits * float(mean) for n_hits, mean in arrived) / sum(hits) if arrived else None
         seeds = ", ".join(f"{float(row['success_rate']):.2f}" for row in rows) if rows[0]["training_seed"] else "-"
         lines.append(
             f"| {env} | {variant} | {describe(successes / n, wilson_interval(successes, n))} | {seeds} | {any_rate:.2f} "
-            f"| {f'{sum(steps) / len(steps):.1f}' if steps else '-'} |"
+            f"| {'-' if steps is None else f'{steps:.1f}'} |"
         )
     return lines
 
@@ -133,7 +135,7 @@ def versus_table() -> list[str]:
         "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
         "",
         "The same distance, the same fresh episodes; *budget* is simulated plans per control step over all refinements (iCEM 62, CEM 63 of",
-        "64). Times are of two cores unless others are named, some of them with other work beside.",
+        "64; the smoothing layer verifies 25 to 40 more, which are not counted). Times are of two cores unless others are named, some of them with other work beside.",
         "",
         "| task | training | episodes | planner | policy's rollout among the samples | budget | success | steps to goal | action rate | ms per plan |",
         "|---|---|---|---|---|---|---|---|---|---|",
@@ -171,7 +173,7 @@ def smoothing_table() -> list[str]:
         shares = [f"{float(row[name]):.2f}" for name in ("accepted_share", "kept_share") if row.get(name)]
         lines.append(
             f"| {row['env']} | {row['planner']} | {'yes' if row['proposals'] == 'True' else 'no'} | {row['variant']} "
-            f"| {describe(rate, wilson_interval(round(rate * n), n))} | {sum(hits) / max(1, len(hits)):.1f} "
+            f"| {describe(rate, wilson_interval(round(rate * n), n))} | {f'{sum(hits) / len(hits):.1f}' if hits else '-'} "
             f"| {float(row['action_rate']):.4f} | {float(row['jerk']):.1f} | {' + '.join(shares) or '-'} | {row.get('risen') or '-'} "
             f"| {float(row['search_ms']):.0f} + {float(row['smoothing_ms']):.0f} |"
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from mpc.cost import Cost
 from mpc.knots import Interpolation, interpolation_matrix, shift_matrix
-from mpc.rollout import Actor, RolloutEngine, Trajectories
+from mpc.rollout import Actor, Followed, RolloutEngine, Trajectories
 from napsp.envs.dynamics import check_same_state, get_state
 
 
@@ -139,7 +139,8 @@ class Controller:
         self.smoother = smoother
         self._executed: list[np.ndarray] = []
         self._fresh = True
-        self._warned = False
+        self._warned = self._warned_of_proposals = False
+        self.n_tried = 0  # plans simulated by the last plan call, smoothing left out
 
     def reset(self) -> None:
         """Forget the last episode's plan."""
@@ -173,11 +174,13 @@ class Controller:
             self.planner.shift(self._shift)
         self._fresh = False
         followed = [self.engine.follow(state, observation, actor, self.horizon) for actor in self._proposals_from]
-        proposals = np.stack([self._to_knots @ own.actions for own in followed]) if followed else None
+        proposals = self._proposals(followed)
         n_simulated = self.cost.simulated_steps(self.horizon)
+        self.n_tried = 0
         for _ in range(self.n_refinements):
             knots = self.planner.sample(self.rng, proposals)
             actions = self._actions(knots)
+            self.n_tried += len(actions)
             trajectories = self.engine.rollout(state, actions[:, :n_simulated], followed)
             costs = self.cost(observation, trajectories, actions, goal)
             self.planner.update(knots, costs)
@@ -210,6 +213,14 @@ class Controller:
             self.planner.update((self._to_knots @ smoothed.actions)[None], np.array([smoothed.cost]))
         self._executed = [*self._executed[-1:], smoothed.actions[0].copy()]
         return smoothed.actions
+
+    def _proposals(self, followed: Sequence[Followed]) -> np.ndarray | None:
+        """Knots ``(P, K, U)`` of what actors did; one that answered NaN would spread it through the plan."""
+        finite = [own.actions for own in followed if np.isfinite(own.actions).all()]
+        if len(finite) < len(followed) and not self._warned_of_proposals:
+            self._warned_of_proposals = True
+            warnings.warn("a policy proposed actions that are not finite; left out", RuntimeWarning, stacklevel=4)
+        return np.stack([self._to_knots @ actions for actions in finite]) if finite else None
 
     def _actions(self, knots: np.ndarray) -> np.ndarray:
         # float32 like the environments' action spaces: the plan is what will be executed.

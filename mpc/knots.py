@@ -20,7 +20,15 @@ def interpolation_matrix(n_knots: int, horizon: int, kind: Interpolation, shift:
 
 
 def shift_matrix(n_knots: int, horizon: int, kind: Interpolation) -> np.ndarray:
-    """Matrix ``(K, K)`` that moves a plan on by one control step (the warm start)."""
+    """Matrix ``(K, K)`` that moves a plan on by one control step (the warm start).
+
+    Held knots ("zero") that are more than a step apart cannot follow exactly: reading each one step later would
+    leave all as they are, for ever. They become those nearest to the moved controls (least squares).
+    """
+    if kind == "zero":
+        to_controls = interpolation_matrix(n_knots, horizon, kind)
+        later = np.minimum(np.arange(horizon) + 1, horizon - 1)
+        return np.linalg.pinv(to_controls) @ to_controls[later]
     return _evaluate(n_knots, horizon, kind, _knot_times(n_knots, horizon) + 1.0)
 
 

@@ -76,7 +76,8 @@ class MPPI:
         if not np.isfinite(costs).any():
             return
         weights = softmin(costs, self.temperature)
-        self.mean = np.tensordot(weights, knots, axes=1)
+        counted = weights > 0.0  # NaN times zero is NaN
+        self.mean = np.tensordot(weights[counted], knots[counted], axes=1)
         self.best = knots[np.nanargmin(costs)].copy()
         self.effective_samples = float(1.0 / np.square(weights).sum())
 

@@ -74,7 +74,6 @@ class Session:
         self.horizon = controller.horizon
         self._statistics = getattr(controller.smoother, "statistics", None)
         self._last_observation: dict[str, np.ndarray] = {}
-        self._n_tried = options.samples * options.refinements
 
     @classmethod
     def open(cls, planner: str, options: PlanOptions) -> Session:
@@ -150,8 +149,6 @@ class Session:
             achieved_goals.append(observation["achieved_goal"])
             positions.append(self._effector(observation))
         self._last_observation = observation
-        if self.planner == "smooth":  # which tries what it is given, not a number of samples
-            self._n_tried = len(plan.costs)
         seconds = time.monotonic() - started
         return EpisodeResult(
             seed, success, first_hit, steps, np.array(actions), np.array(achieved_goals), goal,
@@ -193,7 +190,7 @@ class Session:
             self.controller.engine,
             lambda: self.controller.plan_from(state, self._last_observation),
             state,
-            self._n_tried,
+            self.controller.n_tried,
             max(1, self.controller.cost.simulated_steps(self.horizon)),
         )
 

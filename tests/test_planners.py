@@ -3,10 +3,16 @@
 import subprocess
 import sys
 
+import mujoco
 import numpy as np
 import pytest
+from explosive import Explosive
 
+from mpc.controller import Controller
+from mpc.cost import Cost, EuclideanSteps
 from mpc.knots import interpolation_matrix, shift_matrix
+from mpc.rollout import RolloutEngine
+from napsp.envs.dynamics import get_state
 from planners.cem import CEM
 from planners.icem import ICEM
 from planners.mppi import MPPI, softmin
@@ -55,6 +61,7 @@ def test_infinite_and_nan_costs_never_reach_the_plan(kind):
     costs = np.full(len(knots), np.inf)
     knots[[0, 2, 4, 6]], costs[[0, 2, 4, 6]] = 0.25, 1.0
     knots[1], costs[1] = -1.0, np.nan
+    knots[3] = np.nan  # its simulation diverged
     planner.update(knots, costs)
     weight = 1.0 - getattr(planner, "momentum", 0.0) if kind is CEM else 1.0
     np.testing.assert_allclose(planner.plan, 0.25 * weight)
@@ -184,6 +191,17 @@ def test_shift_of_one_knot_per_step_drops_the_first_and_repeats_the_last(kind):
     np.testing.assert_allclose(shift_matrix(4, 4, kind) @ plan, [2, 3, 4, 4], atol=1e-12)
 
 
+@pytest.mark.parametrize("kind", ["zero", "linear", "cubic"])
+def test_repeated_shifts_bring_every_knot_of_a_sparse_plan_to_the_front(kind):
+    knots, matrix, shift = np.arange(4.0), interpolation_matrix(4, 10, kind), shift_matrix(4, 10, kind)
+    first = [knots[0]]
+    for _ in range(40):
+        knots = shift @ knots
+        first.append((matrix @ knots)[0])
+    assert first[1] > 0.1 and first[-1] == pytest.approx(3.0, abs=0.05)
+    assert kind == "cubic" or (np.diff(first) > -1e-9).all()  # splines swing around the end
+
+
 def test_shifted_spline_is_the_same_curve_later():
     knots = np.array([0.0, 1.0, 2.0, 3.0])  # a straight line, held at its end
     matrix, shift = interpolation_matrix(4, 10, "linear"), shift_matrix(4, 10, "linear")
@@ -202,3 +220,21 @@ def test_search_imports_nothing_but_numpy():
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("open_loop", [True, False])
+@pytest.mark.parametrize("kind", ALL)
+def test_a_proposal_of_nan_is_left_out_with_one_warning(kind, open_loop):
+    dynamics = Explosive(open_loop)
+    dynamics.model.actuator_gear[:] = 1e-4  # gentle: nothing but the proposal goes wrong
+    state = get_state(dynamics.model, mujoco.MjData(dynamics.model))
+    observation = {"observation": np.zeros(2), "achieved_goal": np.zeros(2), "desired_goal": np.zeros(2)}
+    with RolloutEngine(dynamics, n_threads=1) as engine:
+        cost = Cost(EuclideanSteps(1.0), lambda achieved, goal: np.zeros(achieved.shape[:-1], bool))
+        controller = Controller(
+            engine, kind(3, 1, n_samples=8), cost, 3, np.random.default_rng(0),
+            proposals_from=[lambda observations, goals: np.full((1, 1), np.nan, np.float32)],
+        )  # fmt: skip
+        with pytest.warns(RuntimeWarning, match="not finite; left out") as caught:
+            plans = [controller.plan_from(state, observation) for _ in range(3)]
+    assert len(caught) == 1 and all(np.isfinite(plan.actions).all() for plan in plans)

@@ -20,7 +20,7 @@ from mpc.smoothing_distance import SmoothDistance
 from mpc.smoothing_problem import SOLVERS, Problem, Roughness, SolverError
 from napsp.envs.dynamics import get_state
 from planners.mppi import MPPI
-from planners.search_options import SmoothOptions
+from planners.search_options import ICEMOptions, SmoothOptions
 from planners.session import Session
 from planners.smooth import Held
 
@@ -255,6 +255,17 @@ def test_figures_of_smoothness():
     assert action_rate(np.array([[0.0, 0.0], [1.0, 2.0], [1.0, 2.0]])) == pytest.approx(2.5)
     times = 0.1 * np.arange(10)
     assert jerk(np.stack([2.0 * times**3, 0.0 * times], axis=1), 0.1) == pytest.approx(12.0)
+
+
+def test_icem_is_compared_with_as_many_raw_plans_as_it_tries(monkeypatch):
+    session = Session.open("icem", ICEMOptions(env="point_maze", proposals=False))
+    counted = []
+    monkeypatch.setattr("planners.session.raw_speed_fraction", lambda *arguments: counted.append(arguments[3]))
+    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 1)
+    session.run_episode(seed=0)
+    session.raw_speed_fraction()
+    assert counted == [26 + 20 + 16]
+    session.close()
 
 
 def test_planning_without_smoothing_imports_no_casadi():

@@ -95,7 +95,7 @@ def test_scaling_measures_every_size_and_fits_lines(command, tmp_path, capsys):
     rows = cells.read_results(tmp_path / "throughput_scaling.csv")
     work = [int(row["samples"]) * int(row["horizon"]) for row in rows]
     assert work == sorted(work) and len(rows) == 6
-    assert all(0 < float(row["peak_mb_before"]) <= float(row["peak_mb_after"]) for row in rows)
+    assert all(float(row["peak_mb_before"]) > 0 for row in rows)
     assert (tmp_path / "throughput_scaling_point_maze.png").read_bytes()[:4] == b"\x89PNG"
     assert "R² =" in capsys.readouterr().out
 
