@@ -85,7 +85,7 @@ def main() -> int:
             positions = visited(folder)
             house, goal_room = coverage(positions, scale, options.bins)
             last = read_rows(folder / "metrics.csv", np.inf)[-1]
-            key = {"env": env_name, "method": method, "seed": seed, "config_hash": config.hash()}
+            key = {"env": env_name, "method": method, "seed": seed, "config_hash": config.hash(), "bins": options.bins}
             figures = {"coverage": house, "goal_room_coverage": goal_room, "success_rate": last["success_rate"],
                        "any_success_rate": last["any_success_rate"], "episodes": len(positions)}  # fmt: skip
             if find(read_results(path), key) is None:

@@ -107,7 +107,8 @@ def main() -> int:
     straight = np.linalg.norm(probe.states[:, :2] - probe.goals, axis=1) / tasks.make(env_name).unwrapped.step_length
     figures = agreement(probe, straight)
     _show("euclidean", "-", figures)
-    key = {"env": env_name, "method": "euclidean", "seed": "", "config_hash": ""}
+    sizes = {"n_states": options.n_states, "n_goals": options.n_goals}
+    key = {"env": env_name, "method": "euclidean", "seed": "", "config_hash": "", **sizes}
     if find(read_results(path), key) is None:
         append_result(path, {**key, "revision": git_revision(), **figures})
     for (method, seed), (model, config) in models.items():
@@ -116,7 +117,7 @@ def main() -> int:
         with torch.inference_mode():
             figures = agreement(probe, model.distance.steps(*rows).numpy().astype(np.float64))
         _show(method, seed, figures)
-        key = {"env": env_name, "method": method, "seed": seed, "config_hash": config.hash()}
+        key = {"env": env_name, "method": method, "seed": seed, "config_hash": config.hash(), **sizes}
         if find(read_results(path), key) is None:
             append_result(path, {**key, "revision": model.header["revision"], **figures})
     return 0

@@ -9,6 +9,7 @@ that are already in ``results/distance_as_cost.csv`` are not run again.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,6 +120,21 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
         "mean_steps_to_goal": float(np.mean(hits)) if hits else "",
         "plan_ms_median": milliseconds,
     }
+
+
+def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, str]]:
+    """Rows of the default episodes and samples whose settings, of training and planner, are today's."""
+    kept = []
+    for row in rows:
+        variant, options = VARIANTS.get(row["variant"]), CostOptions(env=row["env"])
+        if variant is None:
+            continue
+        planner = plan_options(row["env"], row["variant"], None, options).hash() if variant.planner else ""
+        training = preset(row["env"], method=variant.method).hash() if variant.method else ""
+        today = (planner, training, str(options.samples), str(options.episodes), str(options.seed))
+        if tuple(row[n] for n in ("planner_hash", "training_hash", "samples", "episodes", "seed")) == today:
+            kept.append(row)
+    return kept
 
 
 def main() -> int:

@@ -9,6 +9,7 @@ policy that learns from it works. Cells that are already in ``results/`` are not
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -159,6 +160,23 @@ def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, op
     return dict(row)
 
 
+def comparable(rows: Iterable[dict[str, str]], episodes: int = 50, seed: int = 90_000) -> list[dict[str, str]]:
+    """Rows of the same episodes, with the name of their ``training``, whose settings are all today's.
+
+    All are of training seed 0: others have none of the planners' rows.
+    """
+    kept = []
+    for row in rows:
+        training = line_of(row["env"], row["training_hash"], int(row["training_episodes"]))
+        if training is None or (row["episodes"], row["seed"], row["training_seed"]) != (str(episodes), str(seed), "0"):
+            continue
+        budget, proposals = int(row["budget"]), row["proposals"] == "1"
+        settings = plan_options(row["env"], row["planner"], budget, proposals, None, seed) if budget else None
+        if row["planner_hash"] == (settings.hash() if settings else ""):
+            kept.append({**row, "training": training})
+    return kept
+
+
 def draw(env_name: str) -> Path | None:
     """Success against samples per step and against training episodes, as far as a task has rows of several."""
     import matplotlib
@@ -166,11 +184,8 @@ def draw(env_name: str) -> Path | None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    rows = []
-    for row in (row for row in read_results(FILE) if row["env"] == env_name):
-        training = line_of(env_name, row["training_hash"], int(row["training_episodes"]))
-        if training in LINES:  # not settings of another day, nor those that figures leave out
-            rows.append(row | {"training": training})
+    found = comparable(row for row in read_results(FILE) if row["env"] == env_name)
+    rows = [row for row in found if row["training"] in LINES]
     last, panels = max((int(row["training_episodes"]) for row in rows), default=0), {}
     for x in ("budget", "training_episodes"):
         lines: dict[str, list[tuple[int, float]]] = {}

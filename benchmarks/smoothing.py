@@ -90,6 +90,24 @@ def run_cell(session: Session, options: SmoothingOptions) -> dict[str, Any]:
     return figures | (session.smoothing_summary() or {})
 
 
+def variants_of(planner: str) -> dict[str, dict[str, Any]]:
+    """Names of a planner's cells and the options that make them."""
+    return VARIANTS | ({"coloured noise": COLOURED[planner]} if planner in COLOURED else {})
+
+
+def comparable(rows: Sequence[Any], episodes: int = 50, seed: int = 90_000) -> list[Any]:
+    """Rows of the same episodes, on one thread, whose settings are what their variant means today."""
+    kept = []
+    for row in rows:
+        settings = variants_of(row["planner"]).get(row["variant"])
+        if settings is None or (row["episodes"], row["seed"], row["threads"]) != (str(episodes), str(seed), "1"):
+            continue
+        options = OPTIONS[row["planner"]](env=row["env"], proposals=row["proposals"] == "True", **settings)
+        if options.hash() == row["config_hash"]:
+            kept.append(row)
+    return kept
+
+
 def first_hits(row: Any, never: int) -> list[float]:
     """Control steps to the goal of each episode; an episode that never gets there counts as its length."""
     return [float(never if hit == "-" else hit) for hit in row["first_hits"].split()]
@@ -118,7 +136,9 @@ def draw(path: Path, name: str, results: dict[str, EpisodeResult]) -> None:
 
 
 def draw_frontier(path: Path, rows: Sequence[Any]) -> None:
-    """Action rate against steps to the goal, a panel per task, planner and proposals; down and left is better.
+    """Action rate against steps to the goal, a panel per task, planner, proposals and training run.
+
+    Down and left is better.
 
     An episode that never arrives counts as its length.
     """
@@ -129,12 +149,14 @@ def draw_frontier(path: Path, rows: Sequence[Any]) -> None:
 
     panels: dict[tuple[str, ...], list[Any]] = {}
     for row in rows:
-        panels.setdefault((row["env"], row["planner"], row["proposals"]), []).append(row)
+        panels.setdefault(
+            (row["env"], row["planner"], row["proposals"], row["training_hash"], row["training_seed"]), []
+        ).append(row)
     panels = {name: cells for name, cells in panels.items() if len(cells) > 1}
     if not panels:
         return
     figure, axes = plt.subplots(1, len(panels), figsize=(3.6 * len(panels), 3.2), layout="constrained")
-    for axis, ((env, planner, proposals), cells) in zip(np.atleast_1d(axes), panels.items(), strict=True):
+    for axis, ((env, planner, proposals, *_), cells) in zip(np.atleast_1d(axes), panels.items(), strict=True):
         for row in cells:
             hits, rate = np.mean(first_hits(row, tasks.episode_length(env))), float(row["action_rate"])
             kind = next((k for k in ("smoothed", "low-pass", "coloured") if row["variant"].startswith(k)), PLAIN)
@@ -181,7 +203,7 @@ def main() -> int:
         raise UserError(f"unknown planner {options.planner!r}; choose mppi, cem, icem or predictive_sampling")
     env_name, path = tasks.canonical_name(options.env), RESULTS / "smoothing.csv"
     torch.set_num_threads(1)
-    variants = VARIANTS | ({"coloured noise": COLOURED[options.planner]} if options.planner in COLOURED else {})
+    variants = variants_of(options.planner)
     if options.variants[:1] != (PLAIN,) or not set(options.variants) <= {*VARIANTS, "coloured noise"}:
         raise UserError(f"--variants must begin with {PLAIN} and name some of: {', '.join(variants)}")
     plain: Any = None
@@ -189,9 +211,12 @@ def main() -> int:
     for variant in (name for name in options.variants if name in variants):
         settings = variants[variant]
         session = open_session(options, settings)
+        assert session.model is not None  # the learned distance is the default cost
+        training = session.model.config
         key = {
             "env": env_name, "planner": options.planner, "proposals": options.proposals, "variant": variant,
             "config_hash": session.summary()["config_hash"], "episodes": options.episodes, "seed": options.seed,
+            "training_hash": training.hash(), "training_seed": training.seed, "threads": options.threads,
         }  # fmt: skip
         if find(read_results(path), key) is None:
             append_result(path, {**key, **run_cell(session, options), "revision": git_revision()})
@@ -202,10 +227,10 @@ def main() -> int:
         if variant in (PLAIN, SMOOTHED):
             shown[f"{options.planner}, {variant}"] = session.run_episode(options.seed)
         session.close()
-    alike = [row for row in read_results(path) if row["episodes"] == str(options.episodes)]
-    draw_frontier(RESULTS / "smoothing_frontier.png", alike)
+    draw_frontier(RESULTS / "smoothing_frontier.png", comparable(read_results(path), options.episodes, options.seed))
     suffix, words = ("", "") if options.proposals else ("_no_proposals", ", without policy proposals")
-    draw(RESULTS / f"smoothing_{env_name}{suffix}.png", f"{env_name}, seed {options.seed}{words}", shown)
+    picture = RESULTS / f"smoothing_{env_name}_{options.planner}{suffix}.png"
+    draw(picture, f"{env_name}, seed {options.seed}{words}", shown)
     return 0
 
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 
+from benchmarks import distance_as_cost, policy_vs_mpc, smoothing
 from benchmarks.cells import RESULTS, read_results
-from benchmarks.curves import line_of
 from benchmarks.sweep import PAPER_TASKS
-from napsp.config import METHODS
-from napsp.presets import preset
 from napsp.statistics import describe, paired_proportions, wilson_interval
 
 HALF_TRAINED = RESULTS / "policy_vs_mpc_point_maze.png"
-EPISODES, SEED = "50", "90000"  # of the rows that the first table compares
 
 
 def glance_table() -> list[str]:
@@ -43,16 +40,15 @@ def glance_table() -> list[str]:
 def _glance(env: str) -> list[str]:
     """Cells of a task's line: of its training with the most episodes that both policy and planner were run with."""
     planner = "icem" if "pick_place" in env else "mppi"
-    runs: dict[tuple[str, str], dict[str, dict[str, str]]] = defaultdict(dict)
-    for row in _versus_rows():
+    runs: dict[str, dict[str, dict[str, str]]] = defaultdict(dict)
+    for row in policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE)):
         settings = (row["budget"], row["proposals"]) == ("64", "1") or row["planner"] == "policy"
-        if settings and (row["env"], row["episodes"], row["seed"]) == (env, EPISODES, SEED):
-            runs[row["training_hash"], row["training_seed"]][row["planner"]] = row
+        if settings and row["env"] == env:
+            runs[row["training_hash"]][row["planner"]] = row
     straight = [
         _success(row)
-        for row in read_results(RESULTS / "distance_as_cost.csv")
+        for row in distance_as_cost.comparable(read_results(RESULTS / "distance_as_cost.csv"))
         if (row["env"], row["variant"]) == (env, "euclidean, mean along the plan")
-        and (row["samples"], row["episodes"]) == ("64", EPISODES)
     ]
     line = straight[-1] if straight else "not run"
     compared = [run for run in runs.values() if {"policy", planner} <= run.keys()]
@@ -82,11 +78,8 @@ def _by_task(env: str) -> tuple[int, str]:
 def cost_table() -> list[str]:
     """Costs for planning, pooled over training seeds."""
     groups: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
-    for row in read_results(RESULTS / "distance_as_cost.csv"):
-        hashes = {preset(row["env"], method=method).hash() for method in METHODS}
-        current = not row["training_seed"] or row["training_hash"] in hashes
-        if current and (row["samples"], row["episodes"]) == ("64", "50"):
-            groups[row["env"], row["variant"]].append(row)
+    for row in distance_as_cost.comparable(read_results(RESULTS / "distance_as_cost.csv")):
+        groups[row["env"], row["variant"]].append(row)
     lines = [
         "### Which cost plans (`python -m benchmarks.distance_as_cost --env NAME`)",
         "",
@@ -111,16 +104,6 @@ def cost_table() -> list[str]:
     return lines
 
 
-def _versus_rows() -> list[dict[str, str]]:
-    """Rows of policy and planners, each with the name of its ``training``; only settings of today's presets."""
-    rows = []
-    for row in read_results(RESULTS / "policy_vs_mpc.csv"):
-        training = line_of(row["env"], row["training_hash"], int(row["training_episodes"]))
-        if training is not None:
-            rows.append(row | {"training": training})
-    return rows
-
-
 def _cores(row: dict[str, str]) -> str:
     cores = row.get("cores") or "2"
     return "" if cores == "2" else f" ({cores} core{'s' if cores != '1' else ''})"
@@ -128,9 +111,8 @@ def _cores(row: dict[str, str]) -> str:
 
 def versus_table() -> list[str]:
     """The policy against planners with the same distance."""
-    rows = sorted(
-        _versus_rows(), key=lambda row: (*_by_task(row["env"]), -int(row["training_episodes"]), row["training"])
-    )
+    rows = policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE))
+    rows.sort(key=lambda row: (*_by_task(row["env"]), -int(row["training_episodes"]), row["training"]))
     lines = [
         "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
         "",
@@ -166,7 +148,7 @@ def smoothing_table() -> list[str]:
         "| task | planner | proposals | variant | success | first hit | action rate | jerk | accepted | risen | search + smoothing [ms] |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    rows = read_results(RESULTS / "smoothing.csv")
+    rows = smoothing.comparable(read_results(RESULTS / "smoothing.csv"))
     for row in sorted(rows, key=lambda row: (row["env"], row["planner"], row["proposals"])):
         hits = [float(hit) for hit in row["first_hits"].split() if hit != "-"]
         n, rate = int(row["episodes"]), float(row["success_rate"])

@@ -17,7 +17,7 @@ def speed_table() -> list[str]:
         "Plans leave out of the model what only pictures show, so they may come out ahead of both. The policy's proposal is on by default",
         "with `--cost distance`.",
         "",
-        "| task | planning model | samples x horizon | policy proposal | plan / replay (CPU) | plan / raw (CPU) | ms per plan | collection against stock step, same model |",
+        "| task | planning model | samples x horizon | policy proposal | plan / replay (CPU) | plan / raw (CPU) | ms per plan | collection in fetch_reach against stock step, same model |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for path in sorted(RESULTS.glob("rollout_speed_*.json")):

@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 from benchmarks.cells import RESULTS, read_results
+from benchmarks.coverage import CoverageOptions
 from benchmarks.curves import LINES, MORE_UPDATES, current_runs
+from benchmarks.distance_accuracy import AccuracyOptions
 from benchmarks.sweep import HARDER_TASKS, PAPER_TASKS
 from napsp.config import METHODS, from_dict
 from napsp.presets import preset
@@ -14,9 +16,9 @@ from napsp.record import command_line
 from napsp.statistics import describe, interquartile_mean
 
 
-def _current(name: str) -> list[dict[str, str]]:
-    """Rows of the present presets; rows of superseded settings stay in the file only."""
-    rows = read_results(RESULTS / name)
+def _current(name: str, **sizes: int) -> list[dict[str, str]]:
+    """Rows of the present presets and of these sizes; rows of superseded settings stay in the file only."""
+    rows = [row for row in read_results(RESULTS / name) if all(row[k] == str(v) for k, v in sizes.items())]
     hashes = {(r["env"], m): preset(r["env"], method=m).hash() for r in rows for m in METHODS}
     return [r for r in rows if r["method"] not in METHODS or r["config_hash"] == hashes[r["env"], r["method"]]]
 
@@ -93,7 +95,7 @@ def accuracy_table() -> list[str]:
         "| task | method | seed | Spearman | Pearson | ratio CV | mean ratio | Spearman, task pairs |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for row in _current("distance_accuracy.csv"):
+    for row in _current("distance_accuracy.csv", n_states=AccuracyOptions.n_states, n_goals=AccuracyOptions.n_goals):
         figures = [f"{float(row[k]):.2f}" for k in ("spearman", "pearson", "ratio_cv", "mean_ratio", "task_spearman")]
         lines.append(f"| {row['env']} | {row['method']} | {row['seed'] or '-'} | {' | '.join(figures)} |")
     return lines
@@ -109,7 +111,7 @@ def coverage_table() -> list[str]:
         "| task | method | seed | episodes | house covered | goal room covered | success | any-step success |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for row in _current("coverage.csv"):
+    for row in _current("coverage.csv", bins=CoverageOptions.bins):
         names = ("coverage", "goal_room_coverage", "success_rate", "any_success_rate")
         figures = [f"{float(row[k]):.2f}" for k in names]
         lines.append(f"| {row['env']} | {row['method']} | {row['seed']} | {row['episodes']} | {' | '.join(figures)} |")

@@ -94,7 +94,7 @@ def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
     assert [row["variant"] for row in rows] == ["plain", "smoothed", "low-pass 0.6"]
     assert [row["first_hits"] for row in rows] == ["- -"] * 3 and rows[1]["calls"] == "8" and not rows[0]["calls"]
     assert "accepted" in capsys.readouterr().out
-    assert (tmp_path / "smoothing_point_maze.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "smoothing_point_maze_mppi.png").read_bytes()[:4] == b"\x89PNG"
     monkeypatch.setattr(smoothing, "run_cell", lambda *_: pytest.fail("a finished cell was run again"))
     assert smoothing.main() == 0
 
