@@ -66,8 +66,17 @@ def current_runs(env: str) -> dict[str, list[dict[str, Any]]]:
     return runs
 
 
+def recorded(runs: list[dict[str, Any]], column: str) -> list[dict[str, Any]]:
+    """Runs that have a column: the oldest ones lack the maximum reward."""
+    return [run for run in runs if column in run["curve"][-1]]
+
+
 def over_seeds(runs: list[dict[str, Any]], column: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Episodes ``(n,)``, interquartile means ``(n,)`` and interval ends ``(2, n)`` (NaN with too few seeds)."""
+    """Episodes ``(n,)``, interquartile means ``(n,)`` and interval ends ``(2, n)`` (NaN with too few seeds).
+
+    Over the runs that :func:`recorded` the column.
+    """
+    runs = recorded(runs, column)
     values: dict[float, list[float]] = defaultdict(list)
     for run in runs:
         for row in run["curve"]:
@@ -85,7 +94,7 @@ def draw(axis: Any, runs: dict[str, list[dict[str, Any]]], column: str) -> None:
         if runs.get(method):
             episodes, means, ends = over_seeds(runs[method], column)
             if len(episodes):
-                label = f"{method} ({len(runs[method])})"
+                label = f"{method} ({len(recorded(runs[method], column))})"
                 axis.plot(episodes, means, color=COLORS[method], label=label, linewidth=1.2)
                 axis.fill_between(episodes, *ends, color=COLORS[method], alpha=0.15, linewidth=0)
     axis.set(xlabel="episodes", ylabel=TITLES[column])

@@ -50,7 +50,7 @@ def learning_table() -> list[str]:
         "",
         "Last evaluation of each training run, on goals that all methods and seeds share; interquartile mean over seeds with its",
         "95 % bootstrap interval (three seeds or more). *Success* is being at the goal in the last step, *maximum reward* the least",
-        "distance to the goal in an episode, negated. *First arrival* is `--first-arrival`, an option that the paper does not have.",
+        "distance to the goal in an episode, negated (the oldest runs did not record it). *First arrival* is `--first-arrival`, an option that the paper does not have.",
         "The last two tasks are not the paper's, but harder ones.",
         "",
         "![Success on the two harder tasks](results/harder_tasks.png)",
@@ -66,10 +66,7 @@ def learning_table() -> list[str]:
             cells = ["not run", *[""] * 5]
             if runs.get(method):
                 last = [run["curve"][-1] for run in runs[method]]
-                summaries = [
-                    describe(*interquartile_mean([row[k] for row in last])) if all(k in row for row in last) else "-"
-                    for k in ("success_rate", "any_success_rate", "max_reward")
-                ]
+                summaries = [_over_seeds(last, k) for k in ("success_rate", "any_success_rate", "max_reward")]
                 first = [_first_full(run["curve"]) for run in runs[method]]
                 wanted = preset(env, **options).n_episodes
                 done = min(int(row["episodes"]) for row in last)
@@ -77,6 +74,14 @@ def learning_table() -> list[str]:
                 cells = [str(len(last)), length, *summaries, ", ".join(first)]
             lines.append(f"| {env} | {method} | {' | '.join(cells)} |")
     return lines
+
+
+def _over_seeds(rows: list[dict[str, float]], column: str) -> str:
+    """Interquartile mean and interval, and how many rows had the column where not all did."""
+    values = [row[column] for row in rows if column in row]
+    if not values:
+        return "-"
+    return describe(*interquartile_mean(values)) + (f" ({len(values)} seeds)" if len(values) < len(rows) else "")
 
 
 def _first_full(curve: list[dict[str, float]]) -> str:
