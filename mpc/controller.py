@@ -38,6 +38,10 @@ class Planner(Protocol):
         """Learn from their costs ``(N,)``."""
         ...
 
+    def adopt(self, knots: np.ndarray) -> None:
+        """Go on from this plan ``(K, U)``, which someone else found, keeping all else that was learned."""
+        ...
+
     def shift(self, shift: np.ndarray) -> None:
         """Move the plan on by one control step."""
         ...
@@ -108,7 +112,7 @@ class Controller:
         planner: the search algorithm over ``n_knots`` knots.
         cost: the objective.
         horizon: H, control steps per plan.
-        rng: source of all randomness of planning.
+        rng: source of all randomness of planning, until :meth:`reset` names another.
         n_knots: K; None gives every control step its own knot.
         interpolation: how knots become controls.
         n_refinements: sample-update rounds per plan call.
@@ -142,8 +146,9 @@ class Controller:
         self._warned = self._warned_of_proposals = False
         self.n_tried = 0  # plans simulated by the last plan call, smoothing left out
 
-    def reset(self) -> None:
-        """Forget the last episode's plan."""
+    def reset(self, rng: np.random.Generator | None = None) -> None:
+        """Forget the last episode's plan; from here on draw from ``rng``, if one is given."""
+        self.rng = rng or self.rng
         self.planner.reset()
         self.engine.reset()
         if self.smoother is not None:
@@ -209,8 +214,9 @@ class Controller:
         executed = np.array(self._executed[-2:], np.float32).reshape(-1, plan.shape[1])
         smoothed = smoother(state, observation, plan, executed)
         if smoothed.accepted and smoothed.cost is not None:
-            # To the search it is one more sample: the next plan starts from it.
-            self.planner.update((self._to_knots @ smoothed.actions)[None], np.array([smoothed.cost]))
+            # The next plan starts from it, or from the nearest that K knots can express: nobody rolled that one out,
+            # so its cost is not handed over with it.
+            self.planner.adopt(self._to_knots @ smoothed.actions)
         self._executed = [*self._executed[-1:], smoothed.actions[0].copy()]
         return smoothed.actions
 

@@ -67,6 +67,10 @@ class CEM:
             self.deviation = np.maximum(deviation, self.min_noise_scale)
             self.effective_samples = float(len(elites))
 
+    def adopt(self, knots: np.ndarray) -> None:
+        """Go on from this plan ``(K, U)``: it becomes the mean."""
+        self.mean = knots
+
     def shift(self, shift: np.ndarray) -> None:
         """Warm start: move the mean on by one control step with a matrix ``(K, K)``; search wide again."""
         self.mean = shift @ self.mean

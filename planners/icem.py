@@ -99,6 +99,11 @@ class ICEM:
         if costs[order[0]] < self._best_cost:
             self._best, self._best_cost = self._elites[0], float(costs[order[0]])
 
+    def adopt(self, knots: np.ndarray) -> None:
+        """Go on from this plan ``(K, U)``: it becomes the mean, the best and the first of the elites."""
+        self.mean = self._best = knots
+        self._elites = np.concatenate([knots[None], self._elites[: self.n_elites - 1]])
+
     def shift(self, shift: np.ndarray) -> None:
         """Warm start: move mean and elites on by one control step with a matrix ``(K, K)``."""
         self.mean, self._elites = shift @ self.mean, shift @ self._elites

@@ -81,6 +81,10 @@ class MPPI:
         self.best = knots[np.nanargmin(costs)].copy()
         self.effective_samples = float(1.0 / np.square(weights).sum())
 
+    def adopt(self, knots: np.ndarray) -> None:
+        """Go on from this plan ``(K, U)``: it becomes the mean and the best."""
+        self.mean, self.best = knots, knots
+
     def shift(self, shift: np.ndarray) -> None:
         """Warm start: move the plan on by one control step with a shift matrix ``(K, K)``."""
         self.mean = shift @ self.mean

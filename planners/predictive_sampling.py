@@ -52,6 +52,10 @@ class PredictiveSampling:
         for index in best_plans(costs, 1):
             self.plan = knots[index]
 
+    def adopt(self, knots: np.ndarray) -> None:
+        """Go on from this plan ``(K, U)``."""
+        self.plan = knots
+
     def shift(self, shift: np.ndarray) -> None:
         """Warm start: move the plan on by one control step with a matrix ``(K, K)``."""
         self.plan = shift @ self.plan

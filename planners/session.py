@@ -121,11 +121,14 @@ class Session:
         return self.env.unwrapped.dynamics.substeps, self.controller.engine.dynamics.substeps
 
     def run_episode(self, seed: int, watchers: Sequence[Watcher] = ()) -> EpisodeResult:
-        """Plan one full episode; it goes on after the goal is reached, to see whether it holds."""
+        """Plan one full episode; it goes on after the goal is reached, to see whether it holds.
+
+        All chance comes from ``seed``: the episode is the same alone and in a series.
+        """
         started = time.monotonic()
         observation, _ = self.env.reset(seed=seed)
         refresh(self.controller.engine.dynamics)
-        self.controller.reset()
+        self.controller.reset(np.random.default_rng([seed, 1]))  # not the stream that the environment draws from
         world = self.env.unwrapped
         if self.options.goal is not None:
             world.goal = np.array(self.options.goal)

@@ -18,6 +18,7 @@ from planners.icem import ICEM
 from planners.mppi import MPPI, softmin
 from planners.predictive_sampling import PredictiveSampling
 from planners.sampling import best_plans, coloured_noise, correlated_noise
+from planners.smooth import Held
 
 ALL = [MPPI, CEM, ICEM, PredictiveSampling]
 
@@ -133,6 +134,28 @@ def test_reset_forgets_the_episode(kind):
     used.reset()
     first, second = (planner.sample(np.random.default_rng(1)) for planner in (used, fresh))
     np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("kind", [*ALL, Held])
+def test_an_adopted_plan_is_the_next_to_be_tried(kind):
+    planner, rng = kind(3, 2, **({} if kind is Held else {"n_samples": 12})), np.random.default_rng(0)
+    knots = planner.sample(rng)
+    planner.update(knots, np.arange(float(len(knots))))
+    found = np.full((3, 2), 0.25)
+    planner.adopt(found)
+    np.testing.assert_array_equal(planner.plan, found)
+    planner.shift(np.eye(3))
+    tried = planner.sample(rng)
+    assert any(np.array_equal(one, found) for one in tried)
+    np.testing.assert_array_equal(found, 0.25)  # nobody writes into it
+
+
+def test_adopting_a_plan_leaves_icem_its_other_elites():
+    planner = ICEM(2, 1, n_samples=20, n_elites=4)
+    knots = planner.sample(np.random.default_rng(0))
+    planner.update(knots, np.arange(20.0))
+    planner.adopt(np.zeros((2, 1)))
+    np.testing.assert_array_equal(planner._elites, [np.zeros((2, 1)), *knots[:3]])
 
 
 def test_icem_keeps_and_shifts_elites_shrinks_and_tries_its_mean_last():

@@ -20,7 +20,7 @@ from mpc.smoothing_distance import SmoothDistance
 from mpc.smoothing_problem import SOLVERS, Problem, Roughness, SolverError
 from napsp.envs.dynamics import get_state
 from planners.mppi import MPPI
-from planners.search_options import ICEMOptions, SmoothOptions
+from planners.search_options import ICEMOptions, MPPIOptions, SmoothOptions
 from planners.session import Session
 from planners.smooth import Held
 
@@ -266,6 +266,24 @@ def test_icem_is_compared_with_as_many_raw_plans_as_it_tries(monkeypatch):
     session.raw_speed_fraction()
     assert counted == [26 + 20 + 16]
     session.close()
+
+
+@pytest.mark.parametrize("options", [
+    MPPIOptions(env="point_maze"), MPPIOptions(env="point_maze", smooth=True, smooth_solver="ipopt"),
+    ICEMOptions(env="point_maze", proposals=False),
+])  # fmt: skip
+def test_an_episode_is_the_same_alone_and_in_a_series(options, monkeypatch):
+    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 3)
+    planner, alone = "icem" if isinstance(options, ICEMOptions) else "mppi", []
+    series = Session.open(planner, dataclasses.replace(options, seed=4))
+    episodes = [series.run_episode(seed) for seed in (4, 5, 6)]
+    series.close()
+    for seed in (6, 4):
+        session = Session.open(planner, dataclasses.replace(options, seed=seed))
+        alone.append(session.run_episode(seed).actions)
+        session.close()
+    np.testing.assert_array_equal(alone, [episodes[2].actions, episodes[0].actions])
+    assert not np.array_equal(episodes[0].actions, episodes[1].actions)
 
 
 def test_planning_without_smoothing_imports_no_casadi():
