@@ -166,7 +166,7 @@ def main() -> int:
     """Measure every task, write the rows, print the table."""
     options = tyro.cli(CoarseOptions, prog="python -m benchmarks.coarse_model")
     for option in ("samples", "episodes", "threads", "horizon"):
-        if (getattr(options, option) or 1) < 1:
+        if getattr(options, option) is not None and getattr(options, option) < 1:
             raise UserError(f"--{option} is {getattr(options, option)}; it must be at least 1")
     print("errors of the achieved goal after the last control step, in the goal's unit")
     print(f"{'task':24s} {'actions':8s} {'H':>3s} {'substeps':>9s} {'speed-up':>9s} {'median':>9s} {'p90':>9s} "

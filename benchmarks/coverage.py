@@ -75,6 +75,8 @@ def main() -> int:
     env_name, path = tasks.canonical_name(options.env), RESULTS / "coverage.csv"
     if not env_name.startswith("point_maze"):
         raise UserError(f"coverage is drawn for point_maze and point_maze_long only, not for {env_name}")
+    if options.bins < 2:
+        raise UserError(f"--bins is {options.bins}; it must be at least 2")
     scale = tasks.make(env_name).unwrapped.scale
     panels: dict[str, np.ndarray] = {}
     captions: dict[str, str] = {}

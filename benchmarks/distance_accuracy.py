@@ -95,6 +95,8 @@ def main() -> int:
     env_name = tasks.canonical_name(options.env)
     if not env_name.startswith("point_maze"):
         raise UserError(f"exact shortest paths exist for point_maze and point_maze_long only, not for {env_name}")
+    if options.n_states < 1 or options.n_goals < 2:
+        raise UserError("--n-states must be at least 1 and --n-goals at least 2")
     torch.set_num_threads(1)
     path = RESULTS / "distance_accuracy.csv"
     configs = [preset(env_name, method=method, seed=seed) for method in METHODS for seed in options.seeds]

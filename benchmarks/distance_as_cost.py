@@ -147,7 +147,7 @@ def main() -> int:
     unknown = set(options.variants) - set(VARIANTS)
     if unknown:
         raise UserError(f"unknown variant {unknown.pop()!r}; choose from: {'; '.join(VARIANTS)}")
-    length = {"n_episodes": options.training_episodes} if options.training_episodes else {}
+    length = {"n_episodes": options.training_episodes} if options.training_episodes is not None else {}
     is_maze = hasattr(tasks.make(env_name).unwrapped, "shortest_steps")
     for variant in options.variants or [name for name in VARIANTS if is_maze or "shortest" not in name]:
         method, planner = VARIANTS[variant].method, VARIANTS[variant].planner

@@ -121,7 +121,7 @@ def _figures(
 def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
     """Configuration, planner ("policy" for none), budget, proposals."""
     env_name, found = tasks.canonical_name(options.env), []
-    length: dict[str, Any] = {"n_episodes": options.training_episodes} if options.training_episodes else {}
+    length: dict[str, Any] = {"n_episodes": options.training_episodes} if options.training_episodes is not None else {}
     asked: dict[str, Any] = {"seed": options.training_seed, "first_arrival": options.first_arrival}
     if options.episodes_per_iteration is not None:
         asked["episodes_per_iteration"] = options.episodes_per_iteration

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from napsp.buffer import EpisodeBuffer, Episodes, sample_pairs, sample_triples
 from napsp.counts import uncertainty
-from napsp.errors import run_command
+from napsp.errors import UserError, run_command
 from napsp.losses import hypotenuse, temporal_label
 
 WALLS = """
@@ -160,6 +160,8 @@ class TabularOptions:
 def main() -> int:
     """Print the comparison."""
     options = tyro.cli(TabularOptions, prog="python -m benchmarks.tabular")
+    if options.seed < 0 or min(options.iterations, default=1) < 1:
+        raise UserError("--seed must be at least 0 and --iterations at least 1")
     world = GridWorld()
     for n_iterations in options.iterations:
         distance = learn(world, np.random.default_rng(options.seed), n_iterations)

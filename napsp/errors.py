@@ -24,6 +24,9 @@ def run_command(main: Callable[[], int | None]) -> None:
         # Whoever read the output, such as head, has enough; what is left in the buffer has nowhere to go.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)  # as a shell reports SIGPIPE
+    except FileNotFoundError as error:
+        print(f"error: {error}; check the path, and the folder the command was started in", file=sys.stderr)
+        sys.exit(2)
     except OSError as error:
         # A full disk or an unwritable folder: nothing already saved was touched.
         print(f"error: {error}; free some space or choose another folder", file=sys.stderr)

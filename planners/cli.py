@@ -57,8 +57,10 @@ def run(planner: str, arguments: list[str]) -> int:
                 if field is not None and episode == 0:
                     field.draw(folder / "distance_field.png", result)
                     report.note(f"distance field of the first episode: {folder}/distance_field.png")
-        except KeyboardInterrupt:
-            if not report.results:
+        except BaseException as error:
+            if not isinstance(error, KeyboardInterrupt) or not report.results:
+                if video is not None:
+                    video.abandon()
                 raise
             report.note(f"interrupted after {len(report.results)} of {options.episodes} episodes")
     if video is not None:

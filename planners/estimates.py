@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from mpc.cost import EuclideanSteps, GivenSteps, LearnedSteps, NoSteps, StepsToGo
 from napsp.checkpoint import Model, load_model, shipped_model
@@ -49,5 +53,29 @@ def steps_to_go(options: PlanOptions, models: Sequence[Model], world: Any) -> St
             raise UserError(f"the true shortest path of {options.env} is not known; use --cost euclidean or distance")
         return GivenSteps(world.shortest_steps)
     if ":" in options.cost:
-        return GivenSteps(load_object(options.cost))
+        return GivenSteps(own_cost(options.cost))
     return EuclideanSteps(world.step_length) if options.cost == "euclidean" else NoSteps()
+
+
+def own_cost(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """The user's cost ``module:function``; what goes wrong in it is said in one sentence.
+
+    Raises:
+        UserError: there is no such function; when called: it raises, or returns another shape than ``(B,)``.
+    """
+    function = load_object(name)
+
+    def steps(achieved_goals: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        try:
+            found = np.asarray(function(achieved_goals, goal), np.float64)
+        except Exception as error:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            problem = f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
+            raise UserError(f"--cost {name} failed with {problem}; correct the function") from error
+        if found.shape != achieved_goals.shape[:1]:
+            raise UserError(
+                f"--cost {name} returned shape {found.shape} for {len(achieved_goals)} goals; return a number per goal"
+            )
+        return found
+
+    return steps

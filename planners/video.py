@@ -125,3 +125,11 @@ class Video:
             self._partial.replace(self._path)
             return f"video: {self._path}"
         return self._problem or "no video: no frames"
+
+    def abandon(self) -> None:
+        """Let go of OpenGL and the encoder, and leave no file: the episode will not be finished."""
+        if self._renderer is not None:
+            self._renderer.close()
+        if self._writer is not None:
+            self._writer.close()
+            self._partial.unlink(missing_ok=True)

@@ -144,6 +144,9 @@ def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
         (["napsp.train", "--discount", "1"], "discount is 1.0; it must lie between"),
         (["benchmarks.rollout_speed", "--samples", "0"], "--samples is 0"),
         (["benchmarks.coverage", "--env", "fetch_reach"], "point_maze and point_maze_long only"),
+        (["benchmarks.coverage", "--bins", "0"], "--bins is 0; it must be at least 2"),
+        (["benchmarks.distance_accuracy", "--n-states", "0"], "--n-states must be at least 1"),
+        (["benchmarks.policy_vs_mpc", "--training-episodes", "0"], "n_episodes is 0"),
         (["napsp.train", "--env", "point_maze", "--held-starts", "0.5"], "point_maze has no box to hold"),
         (["napsp.train", "--other-goals-ratio", "0.5"], "exceed 1 together"),
         (["napsp.train", "--batch-size", "0"], "batch_size is 0; it must lie between 1"),
@@ -154,6 +157,19 @@ def test_bad_input_is_one_line_and_a_failing_exit_code(arguments, words):
     assert result.returncode != 0
     assert words in result.stderr and len(result.stderr.strip().splitlines()) == 1
     assert "Traceback" not in result.stderr + result.stdout
+
+
+@pytest.mark.parametrize(("body", "words"), [
+    ("raise KeyError('wall')", "failed with KeyError: 'wall' (my_cost.py, line 3); correct the function"),
+    ("return achieved", "for 512 goals; return a number per goal"),
+    ("return 'far'", "failed with ValueError"),
+])  # fmt: skip
+def test_a_cost_of_ones_own_that_fails_is_named_and_leaves_no_video(body, words, tmp_path):
+    (tmp_path / "my_cost.py").write_text(f"calls = []\ndef steps(achieved, goal):\n    {body}\n")
+    arguments = ("--env", "point_maze", "--cost", "my_cost:steps", "--out", str(tmp_path / "out"))
+    result = command("planners.mppi", *arguments, PYTHONPATH=os.pathsep.join([str(tmp_path), str(ROOT)]))
+    assert result.returncode == 2 and words in result.stderr and len(result.stderr.strip().splitlines()) == 1
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_bad_checkpoints_on_the_command_line(tmp_path):
