@@ -7,6 +7,7 @@ smoothness against the time to the goal of all cells there are.
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,9 +20,9 @@ import tyro
 
 from benchmarks.cells import RESULTS, append_result, find, read_results
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision
+from napsp.checkpoint import SHIPPED, git_revision
 from napsp.errors import UserError, run_command
-from napsp.record import save_figure
+from napsp.record import RECORD_FILE, save_figure
 from napsp.statistics import describe, paired_difference, wilson_interval
 from planners.episode import EpisodeResult
 from planners.search_options import OPTIONS
@@ -96,14 +97,17 @@ def variants_of(planner: str) -> dict[str, dict[str, Any]]:
 
 
 def comparable(rows: Sequence[Any], episodes: int = 50, seed: int = 90_000) -> list[Any]:
-    """Rows of the same episodes, on one thread, whose settings are what their variant means today."""
+    """Rows of the same episodes, on one thread, with today's shipped model, by what their variant means."""
     kept = []
     for row in rows:
         settings = variants_of(row["planner"]).get(row["variant"])
         if settings is None or (row["episodes"], row["seed"], row["threads"]) != (str(episodes), str(seed), "1"):
             continue
         options = OPTIONS[row["planner"]](env=row["env"], proposals=row["proposals"] == "True", **settings)
-        if options.hash() == row["config_hash"]:
+        record = SHIPPED / tasks.file_name(row["env"]) / RECORD_FILE
+        shipped = json.loads(record.read_text()) if record.is_file() else {"config_hash": "", "seed": ""}
+        same_model = (row["training_hash"], row["training_seed"]) == (shipped["config_hash"], str(shipped["seed"]))
+        if same_model and options.hash() == row["config_hash"]:
             kept.append(row)
     return kept
 
@@ -136,7 +140,7 @@ def draw(path: Path, name: str, results: dict[str, EpisodeResult]) -> None:
 
 
 def draw_frontier(path: Path, rows: Sequence[Any]) -> None:
-    """Action rate against steps to the goal, a panel per task, planner, proposals and training run.
+    """Action rate against steps to the goal, a panel per task, planner and proposals; rows of one model each.
 
     Down and left is better.
 
@@ -149,14 +153,12 @@ def draw_frontier(path: Path, rows: Sequence[Any]) -> None:
 
     panels: dict[tuple[str, ...], list[Any]] = {}
     for row in rows:
-        panels.setdefault(
-            (row["env"], row["planner"], row["proposals"], row["training_hash"], row["training_seed"]), []
-        ).append(row)
+        panels.setdefault((row["env"], row["planner"], row["proposals"]), []).append(row)
     panels = {name: cells for name, cells in panels.items() if len(cells) > 1}
     if not panels:
         return
     figure, axes = plt.subplots(1, len(panels), figsize=(3.6 * len(panels), 3.2), layout="constrained")
-    for axis, ((env, planner, proposals, *_), cells) in zip(np.atleast_1d(axes), panels.items(), strict=True):
+    for axis, ((env, planner, proposals), cells) in zip(np.atleast_1d(axes), panels.items(), strict=True):
         for row in cells:
             hits, rate = np.mean(first_hits(row, tasks.episode_length(env))), float(row["action_rate"])
             kind = next((k for k in ("smoothed", "low-pass", "coloured") if row["variant"].startswith(k)), PLAIN)

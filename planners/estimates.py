@@ -67,11 +67,15 @@ def own_cost(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
     def steps(achieved_goals: np.ndarray, goal: np.ndarray) -> np.ndarray:
         try:
-            found = np.asarray(function(achieved_goals, goal), np.float64)
+            found = function(achieved_goals, goal)
         except Exception as error:
             place = traceback.extract_tb(error.__traceback__)[-1]
             problem = f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
             raise UserError(f"--cost {name} failed with {problem}; correct the function") from error
+        try:
+            found = np.asarray(found, np.float64)
+        except (TypeError, ValueError):
+            raise UserError(f"--cost {name} returned {type(found).__name__}; return one number per goal") from None
         if found.shape != achieved_goals.shape[:1]:
             raise UserError(
                 f"--cost {name} returned shape {found.shape} for {len(achieved_goals)} goals; return a number per goal"

@@ -4,14 +4,17 @@ import json
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from test_train import tiny
 
-from benchmarks import cells, curves, smoothing, sweep
+from benchmarks import cells, curves, distance_as_cost, policy_vs_mpc, smoothing, sweep, tables_training
 from napsp.presets import preset
 from napsp.statistics import describe, interquartile_mean, paired_difference, paired_proportions
+
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -97,6 +100,30 @@ def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "smoothing_point_maze_mppi.png").read_bytes()[:4] == b"\x89PNG"
     monkeypatch.setattr(smoothing, "run_cell", lambda *_: pytest.fail("a finished cell was run again"))
     assert smoothing.main() == 0
+
+
+@pytest.mark.parametrize(("module", "file", "changes"), [
+    (smoothing, "smoothing.csv",
+     ["config_hash", "training_hash", "training_seed", "threads", "episodes", "seed", "variant"]),
+    (policy_vs_mpc, "policy_vs_mpc.csv", ["planner_hash", "training_hash", "training_seed", "episodes", "seed"]),
+    (distance_as_cost, "distance_as_cost.csv",
+     ["planner_hash", "training_hash", "samples", "episodes", "seed", "variant"]),
+])  # fmt: skip
+def test_tables_leave_out_rows_of_other_settings(module, file, changes):
+    rows = cells.read_results(ROOT / "results" / file)
+    rows = [row for row in rows if row["env"] == "fetch_wall" and row.get("budget") != "0"]
+    row = next(row for row in rows if module.comparable([row]))
+    assert not any(module.comparable([{**row, name: "7"}]) for name in changes)
+
+
+def test_first_episode_of_a_success_rate_is_a_median_in_which_never_counts():
+    runs = [{"curve": [{"episodes": e, "success_rate": r} for e, r in zip((100, 200, 300), rates, strict=True)]}
+            for rates in ((0.0, 0.6, 0.4), (0.5, 1.0, 1.0), (0.0, 0.0, 0.9))]  # fmt: skip
+    assert tables_training._first_at(runs, 0.5) == "200 (3 of 3)"
+    assert tables_training._first_at(runs, 0.9) == "300 (2 of 3)"
+    assert tables_training._first_at(runs, 1.0) == "never (1 of 3)"
+    assert tables_training._first_at(runs[::2], 1.0) == "never"
+    assert tables_training._over_seeds([{"max_reward": -0.5}, {}], "max_reward") == "-0.50 (1 seeds)"
 
 
 def test_paired_proportions_equal_a_published_example_and_never_shrink_to_a_point():

@@ -160,12 +160,14 @@ def test_bad_input_is_one_line_and_a_failing_exit_code(arguments, words):
 
 
 @pytest.mark.parametrize(("body", "words"), [
-    ("raise KeyError('wall')", "failed with KeyError: 'wall' (my_cost.py, line 3); correct the function"),
-    ("return achieved", "for 512 goals; return a number per goal"),
-    ("return 'far'", "failed with ValueError"),
+    ("raise KeyError('wall')", "failed with KeyError: 'wall' (my_cost.py, line 5); correct the function"),
+    ("return achieved", "returned shape (512, 2) for 512 goals; return a number per goal"),
+    ("return 'far'", "returned str; return one number per goal"),
 ])  # fmt: skip
 def test_a_cost_of_ones_own_that_fails_is_named_and_leaves_no_video(body, words, tmp_path):
-    (tmp_path / "my_cost.py").write_text(f"calls = []\ndef steps(achieved, goal):\n    {body}\n")
+    late = "    calls.append(goal)\n    if len(calls) > 8 and len(achieved) == 512:"  # after some frames of the video
+    text = f"calls = []\ndef steps(achieved, goal):\n{late}\n        {body}\n    return 0.0 * achieved[:, 0]\n"
+    (tmp_path / "my_cost.py").write_text(text)
     arguments = ("--env", "point_maze", "--cost", "my_cost:steps", "--out", str(tmp_path / "out"))
     result = command("planners.mppi", *arguments, PYTHONPATH=os.pathsep.join([str(tmp_path), str(ROOT)]))
     assert result.returncode == 2 and words in result.stderr and len(result.stderr.strip().splitlines()) == 1
