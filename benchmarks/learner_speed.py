@@ -21,11 +21,11 @@ import tyro
 
 from benchmarks.cells import report
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision
+from napsp.checkpoint import git_revision, sizes_of
 from napsp.config import TrainConfig
 from napsp.errors import UserError, run_command
 from napsp.presets import preset
-from napsp.train import new_learner, sizes_of
+from napsp.train import new_learner
 
 
 @dataclass(frozen=True)

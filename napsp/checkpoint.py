@@ -89,6 +89,25 @@ class Model:
     header: dict[str, Any]
     visits: Visits | None = None
 
+    def check_sizes(self, env: Any) -> None:
+        """Check that the model reads what ``env`` offers; a task of one's own may have changed since.
+
+        Raises:
+            UserError: observation, action or goal have other widths.
+        """
+        trained, found = tuple(self.header["sizes"]), sizes_of(env)
+        if trained != found:
+            raise UserError(
+                f"this checkpoint was trained with {trained} numbers of observation, action and goal, and "
+                f"{self.config.env} has {found} now; train it again"
+            )
+
+
+def sizes_of(env: Any) -> tuple[int, int, int]:
+    """Widths of observation, action and goal."""
+    spaces = env.observation_space.spaces
+    return spaces["observation"].shape[0], env.action_space.shape[0], spaces["desired_goal"].shape[0]
+
 
 def save_model(
     path: Path,

@@ -160,10 +160,9 @@ class TrainConfig:
             )
         if not self.hidden or min(self.hidden) < 1:
             raise UserError(f"hidden is {self.hidden}; give at least one width of at least 1")
-        if self.n_episodes <= self.n_warmup_episodes:
-            raise UserError(
-                f"n_episodes is {self.n_episodes}; it must exceed the {self.n_warmup_episodes} warm-up episodes"
-            )
+        n_warmup = -(-self.n_warmup_episodes // self.episodes_per_iteration) * self.episodes_per_iteration
+        if self.n_episodes <= n_warmup:
+            raise UserError(f"n_episodes is {self.n_episodes}; it must exceed the {n_warmup} warm-up episodes")
 
     @property
     def horizon(self) -> int:

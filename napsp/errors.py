@@ -27,6 +27,9 @@ def run_command(main: Callable[[], int | None]) -> None:
     except FileNotFoundError as error:
         print(f"error: {error}; check the path, and the folder the command was started in", file=sys.stderr)
         sys.exit(2)
+    except FileExistsError as error:
+        print(f"error: {error}; choose another folder", file=sys.stderr)
+        sys.exit(2)
     except OSError as error:
         # A full disk or an unwritable folder: nothing already saved was touched.
         print(f"error: {error}; free some space or choose another folder", file=sys.stderr)
@@ -46,7 +49,9 @@ def load_object(name: str) -> Any:
     module, _, attribute = name.partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+    except Exception as error:  # the module is the user's own
+        kind = "" if isinstance(error, ImportError | AttributeError | ValueError) else f"{type(error).__name__}: "
         raise UserError(
-            f"cannot load {name} ({error}); give module:name and start the command in the folder that holds the module"
+            f"cannot load {name} ({kind}{error}); give module:name and start the command in the folder that holds the "
+            "module"
         ) from None

@@ -44,6 +44,7 @@ def main() -> int:
     env_name = tasks.canonical_name(options.env)
     model = load_model(options.checkpoint or shipped_model(env_name), env_name)
     env = tasks.make(env_name)
+    model.check_sizes(env)
     seeds = [options.seed + i for i in range(options.episodes)]
     result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
     env.close()

@@ -49,7 +49,10 @@ def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], d
     Raises:
         UserError: damaged file, or a run with other settings.
     """
-    tensors, header = read_tensors(path, "training state")
+    try:
+        tensors, header = read_tensors(path, "training state")
+    except UserError as error:
+        raise UserError(f"{error}, or begin anew with --restart") from None
     saved, wanted = {**ADDED, **header["config"]}, config.to_dict()
     different = [name for name in wanted if name not in ("n_episodes", *SPEED_ONLY) and saved.get(name) != wanted[name]]
     if different:

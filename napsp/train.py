@@ -16,7 +16,7 @@ import tyro
 
 from napsp import envs as tasks
 from napsp.buffer import Episodes, concatenate
-from napsp.checkpoint import MODEL_FILE, git_revision, save_model
+from napsp.checkpoint import MODEL_FILE, git_revision, save_model, sizes_of
 from napsp.config import TrainConfig
 from napsp.episodes import ExploringActor, evaluate, roll
 from napsp.errors import UserError, run_command
@@ -87,6 +87,8 @@ class Run:
             for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, "metrics.csv"):
                 (folder / name).unlink(missing_ok=True)
         saved = read_training(state, config) if state.is_file() else None
+        if saved and saved[0]["buffer.observations"].shape[-1] != sizes_of(envs[0])[0]:
+            raise UserError(f"{folder} holds a run of another version of {config.env}; --restart begins anew")
         learner = new_learner(config, envs, warmup_episodes(saved[0], config) if saved else None)
         iteration, rows, seconds, revisions = 0, [], 0.0, [git_revision()]
         if saved:
@@ -217,12 +219,6 @@ def _starts(config: TrainConfig, n: int, rng: np.random.Generator) -> list[dict[
     return [{"box_held": bool(held)} for held in rng.random(n) < config.held_starts] if config.held_starts else None
 
 
-def sizes_of(env: Any) -> tuple[int, int, int]:
-    """Widths of observation, action and goal."""
-    spaces = env.observation_space.spaces
-    return spaces["observation"].shape[0], env.action_space.shape[0], spaces["desired_goal"].shape[0]
-
-
 def _sparse_reward(env: Any) -> Any:
     return lambda achieved, goals: np.asarray(env.unwrapped.compute_reward(achieved, goals, {}), np.float32)
 
@@ -267,7 +263,6 @@ def parse(arguments: list[str]) -> tuple[TrainConfig, Options]:
 def main() -> int:
     """Run the command."""
     config, options = parse(sys.argv[1:])
-    torch.set_num_threads(options.threads)
     folder = options.out or Path("runs") / f"{tasks.file_name(config.env)}-{config.method}-s{config.seed}"
     print(f"{config.env}: {config.method}, seed {config.seed}, {config.n_episodes} episodes -> {folder}")
     if options.threads < 1:

@@ -88,6 +88,8 @@ class Session:
         # Classes of the user's own need not know render modes, so none is named unless one is asked for.
         env = tasks.make(env_name, **({"render_mode": "human"} if options.render == "human" else {}))
         world: Any = env.unwrapped
+        if model is not None:
+            model.check_sizes(world)
         horizon = options.steps_ahead
         if options.knots is not None and options.knots > horizon:
             raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
@@ -145,8 +147,8 @@ class Session:
             # Not part of the plan call: a planner that averages its samples never rolls the average out.
             cost = self.controller.cost_of(world, observation, plan.actions)
             actions.append(plan.action)
-            observation, _, _, _, info = self.env.step(plan.action)
-            success = bool(info["is_success"])
+            observation, *_ = self.env.step(plan.action)
+            success = bool(world.reached(observation["achieved_goal"], observation["desired_goal"]))
             first_hit = step + 1 if success and first_hit is None else first_hit
             steps.append(self._step(observation, plan, cost))
             achieved_goals.append(observation["achieved_goal"])

@@ -30,6 +30,8 @@ class Video:
         # Rendering must not touch the planner's world: everything here is a copy.
         self._model = copy.copy(world.model)
         self._data = mujoco.MjData(self._model)
+        size = self._model.vis.global_  # stock robots have a smaller buffer
+        size.offwidth, size.offheight = max(size.offwidth, WIDTH), max(size.offheight, HEIGHT)
         self._hide_markers()
         self._renderer: Any = None
         try:
@@ -54,8 +56,7 @@ class Video:
         if hasattr(self._world, "camera"):
             return self._world.camera
         camera = mujoco.MjvCamera()
-        camera.lookat[:] = (1.25, 0.78, 0.5)
-        camera.distance, camera.azimuth, camera.elevation = 1.6, 150.0, -32.0
+        mujoco.mjv_defaultFreeCamera(self._model, camera)
         return camera
 
     def frame(self, observation: dict[str, np.ndarray], plan: Plan) -> None:

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
+from napsp import envs
 from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, shipped_model, write_tensors
 from napsp.errors import UserError
 from napsp.statistics import wilson_interval
@@ -150,6 +152,11 @@ def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
         (["napsp.train", "--env", "point_maze", "--held-starts", "0.5"], "point_maze has no box to hold"),
         (["napsp.train", "--other-goals-ratio", "0.5"], "exceed 1 together"),
         (["napsp.train", "--batch-size", "0"], "batch_size is 0; it must lie between 1"),
+        (["napsp.train", "--threads", "0"], "--threads is 0"),
+        (
+            ["napsp.train", "--env", "point_maze", "--n-episodes", "21", "--episodes-per-iteration", "7"],
+            "must exceed the 21 warm-up episodes",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_a_failing_exit_code(arguments, words):
@@ -172,6 +179,26 @@ def test_a_cost_of_ones_own_that_fails_is_named_and_leaves_no_video(body, words,
     result = command("planners.mppi", *arguments, PYTHONPATH=os.pathsep.join([str(tmp_path), str(ROOT)]))
     assert result.returncode == 2 and words in result.stderr and len(result.stderr.strip().splitlines()) == 1
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_module_of_ones_own_that_fails_is_named(tmp_path):
+    (tmp_path / "my_task.py").write_text("1 / 0\n")
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    for arguments in (["--env", "my_task:Env"], ["--env", "point_maze", "--cost", "my_task:steps"]):
+        result = command("planners.mppi", *arguments, PYTHONPATH=path)
+        assert result.returncode == 2 and "cannot load my_task" in result.stderr
+        assert "ZeroDivisionError" in result.stderr and "Traceback" not in result.stderr
+
+
+def test_a_checkpoint_of_another_version_of_a_task_is_refused():
+    class Wider:
+        observation_space = envs.make("point_maze").observation_space
+        action_space = spaces.Box(-1.0, 1.0, (3,))
+
+    model = load_model(shipped_model("point_maze"), "point_maze")
+    model.check_sizes(envs.make("point_maze"))
+    with pytest.raises(UserError, match=r"trained with \(4, 2, 2\).* has \(4, 3, 2\) now; train it again"):
+        model.check_sizes(Wider())
 
 
 def test_bad_checkpoints_on_the_command_line(tmp_path):

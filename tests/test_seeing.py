@@ -153,6 +153,14 @@ def test_videos_of_stock_mazes_show_the_agent_and_hide_the_stock_goal(tmp_path):
     assert alpha["target"] == 0 and alpha["particle_site"] > 0
 
 
+def test_stock_robots_have_room_for_a_video(tmp_path):
+    env = envs.make("FetchReach-v4")  # its model's own buffer is 480 wide
+    video = Video(tmp_path / "video.mp4", env.unwrapped)
+    assert video._model.vis.global_.offwidth >= 640 and env.unwrapped.model.vis.global_.offwidth == 480
+    assert "framebuffer" not in video.close()
+    env.close()
+
+
 @pytest.mark.parametrize("name", ["fetch_wall", "AntMaze_UMaze-v5"])
 def test_lines_of_plans_grow_with_the_distance_they_are_seen_from(name, tmp_path, monkeypatch):
     env = envs.make(name)

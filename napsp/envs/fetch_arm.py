@@ -148,6 +148,14 @@ class ThinFetch(ABC):
         self._arm_self_collision = arm_self_collision
         super().__init__(**kwargs)
 
+    @property
+    def camera(self) -> mujoco.MjvCamera:
+        """Where videos are taken from: table, wall and arm."""
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = (1.25, 0.78, 0.5)
+        camera.distance, camera.azimuth, camera.elevation = 1.6, 150.0, -32.0
+        return camera
+
     @abstractmethod
     def _make_dynamics(self, model: mujoco.MjModel) -> Dynamics:
         """The task's physics."""
