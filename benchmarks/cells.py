@@ -124,7 +124,15 @@ def append_result(path: Path, row: Mapping[str, Any]) -> None:
 
 
 def replace_results(path: Path, key: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Add rows, atomically; a measurement made again takes the place of those that agree in the columns of ``key``."""
+    """Add rows, atomically; a measurement made again takes the place of those that agree in the columns of ``key``.
+
+    Processes that write at the same time wait for each other.
+    """
+    with exclusive(RUNS / path.name, wait=True):
+        _replace(path, key, rows)
+
+
+def _replace(path: Path, key: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
     added = [{name: str(value) for name, value in row.items()} for row in rows]
     cells = [{name: row[name] for name in key} for row in added if key]
     kept = [row for row in read_results(path) if not any(cell.items() <= row.items() for cell in cells)]

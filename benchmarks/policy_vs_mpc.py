@@ -160,15 +160,18 @@ def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, op
     return dict(row)
 
 
-def comparable(rows: Iterable[dict[str, str]], episodes: int = 50, seed: int = 90_000) -> list[dict[str, str]]:
+def comparable(
+    rows: Iterable[dict[str, str]], episodes: int = 50, seed: int = 90_000, training_seed: int = 0
+) -> list[dict[str, str]]:
     """Rows of the same episodes, with the name of their ``training``, whose settings are all today's.
 
-    All are of training seed 0: others have none of the planners' rows.
+    All are of one training seed: a line through several would mix policies.
     """
     kept = []
     for row in rows:
         training = line_of(row["env"], row["training_hash"], int(row["training_episodes"]))
-        if training is None or (row["episodes"], row["seed"], row["training_seed"]) != (str(episodes), str(seed), "0"):
+        same = (row["episodes"], row["seed"], row["training_seed"]) == (str(episodes), str(seed), str(training_seed))
+        if training is None or not same:
             continue
         budget, proposals = int(row["budget"]), row["proposals"] == "1"
         settings = plan_options(row["env"], row["planner"], budget, proposals, None, seed) if budget else None
@@ -177,14 +180,15 @@ def comparable(rows: Iterable[dict[str, str]], episodes: int = 50, seed: int = 9
     return kept
 
 
-def draw(env_name: str) -> Path | None:
+def draw(env_name: str, episodes: int = 50, seed: int = 90_000, training_seed: int = 0) -> Path | None:
     """Success against samples per step and against training episodes, as far as a task has rows of several."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    found = comparable(row for row in read_results(FILE) if row["env"] == env_name)
+    own = (row for row in read_results(FILE) if row["env"] == env_name)
+    found = comparable(own, episodes, seed, training_seed)
     rows = [row for row in found if row["training"] in LINES]
     last, panels = max((int(row["training_episodes"]) for row in rows), default=0), {}
     for x in ("budget", "training_episodes"):
@@ -198,7 +202,6 @@ def draw(env_name: str) -> Path | None:
             panels[x] = lines
     path = RESULTS / f"policy_vs_mpc_{tasks.file_name(env_name)}.png"
     if not panels:  # one budget and one checkpoint each: the table says it all
-        path.unlink(missing_ok=True)
         return None
     figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3), layout="constrained")
     names = sorted({name for lines in panels.values() for name in lines if not name.startswith("policy")})
@@ -240,7 +243,7 @@ def main() -> int:
         print(f"{config.env} after {training}  {name:30s} {budget:5d} plans  success {interval}  "
               f"minus policy {mean:+.2f} [{low:+.2f}, {high:+.2f}]  {float(row['plan_ms_median']):.0f} ms",
               flush=True)  # fmt: skip
-    picture = draw(tasks.canonical_name(options.env))
+    picture = draw(tasks.canonical_name(options.env), options.episodes, options.seed, options.training_seed)
     if picture is not None:
         print(f"picture: {picture}")
     return 0

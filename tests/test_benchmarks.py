@@ -1,6 +1,7 @@
 """The sweep: cells are skipped, shared and published; figures come from published rows only."""
 
 import json
+import multiprocessing
 import shutil
 import subprocess
 import sys
@@ -164,3 +165,19 @@ def test_a_shipped_model_of_the_same_settings_is_not_trained_again(workplace, mo
     assert cells.checkpoint_of(preset("fetch_wall", seed=0)).name == "fetch_wall"
     with pytest.raises(AssertionError, match="trained"):
         cells.checkpoint_of(preset("fetch_wall", seed=1))
+
+
+def append_rows(path, name):
+    for i in range(30):
+        cells.append_result(path, {"name": name, "i": i})
+
+
+def test_processes_that_append_at_once_lose_no_row(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    context = multiprocessing.get_context("spawn")
+    writers = [context.Process(target=append_rows, args=(tmp_path / "rows.csv", name)) for name in "ab"]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert len(cells.read_results(tmp_path / "rows.csv")) == 60
