@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from explosive import Explosive
 
-from mpc.controller import Controller
+from mpc.controller import Controller, Smoothed
 from mpc.cost import Cost, EuclideanSteps
 from mpc.knots import interpolation_matrix, shift_matrix
 from mpc.rollout import RolloutEngine
@@ -18,6 +18,8 @@ from planners.icem import ICEM
 from planners.mppi import MPPI, softmin
 from planners.predictive_sampling import PredictiveSampling
 from planners.sampling import best_plans, coloured_noise, correlated_noise
+from planners.search_options import MPPIOptions
+from planners.session import Session
 from planners.smooth import Held
 
 ALL = [MPPI, CEM, ICEM, PredictiveSampling]
@@ -147,6 +149,10 @@ def test_an_adopted_plan_is_the_next_to_be_tried(kind):
     planner.shift(np.eye(3))
     tried = planner.sample(rng)
     assert any(np.array_equal(one, found) for one in tried)
+    for name in ("mean", "best"):  # what the next samples are drawn around
+        if hasattr(planner, name):
+            np.testing.assert_array_equal(getattr(planner, name), found)
+    planner.update(tried, np.arange(float(len(tried))))
     np.testing.assert_array_equal(found, 0.25)  # nobody writes into it
 
 
@@ -261,3 +267,39 @@ def test_a_proposal_of_nan_is_left_out_with_one_warning(kind, open_loop):
         with pytest.warns(RuntimeWarning, match="not finite; left out") as caught:
             plans = [controller.plan_from(state, observation) for _ in range(3)]
     assert len(caught) == 1 and all(np.isfinite(plan.actions).all() for plan in plans)
+
+
+def test_the_search_goes_on_from_a_smoothed_plan_that_was_rolled_out(worlds):
+    world, observation = worlds["point_maze"].unwrapped, worlds["point_maze"].reset(seed=0)[0]
+    smooth = np.linspace(-0.5, 0.5, 8, dtype=np.float32).reshape(4, 2)
+
+    class Given:
+        cost: float | None = 3.0
+
+        def reset(self):
+            """Nothing is remembered."""
+
+        def __call__(self, state, observation, actions, executed):
+            return Smoothed(smooth, self.cost, True)
+
+    with RolloutEngine(world.dynamics, n_threads=1) as engine:
+        planner, smoother = MPPI(4, 2, n_samples=8), Given()
+        cost = Cost(EuclideanSteps(1.0), world.reached)
+        controller = Controller(engine, planner, cost, 4, np.random.default_rng(0), smoother=smoother)
+        controller.plan(world, observation)
+        np.testing.assert_allclose(planner.plan, smooth, atol=1e-6)
+        smoother.cost = None  # nobody knows what it costs: executed, but no start for the search
+        planned = controller.plan(world, observation)
+    np.testing.assert_array_equal(planned.actions, smooth)
+    assert not np.allclose(planner.plan, smooth, atol=1e-3)
+
+
+def test_planning_and_environment_draw_from_different_streams(monkeypatch):
+    drawn = []
+    session = Session.open("mppi", MPPIOptions(env="point_maze", cost="euclidean", threads=1, samples=4))
+    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 0)
+    monkeypatch.setattr(session.controller, "reset", lambda rng: drawn.append(rng.random(4)))
+    monkeypatch.setattr("planners.session.EpisodeResult", lambda *parts: None)
+    session.run_episode(7)
+    session.close()
+    assert not np.array_equal(drawn[0], np.random.default_rng(7).random(4))
