@@ -17,6 +17,7 @@ import numpy as np
 import tyro
 
 from benchmarks.cells import RESULTS, machine, replace_results
+from benchmarks.command import read_options
 from benchmarks.rollout_speed import clocked
 from mpc.rollout import Actor, RolloutEngine, Trajectories
 from napsp import envs as tasks
@@ -164,10 +165,7 @@ def rolled_out(engine: RolloutEngine, state: np.ndarray, actions: np.ndarray) ->
 
 def main() -> int:
     """Measure every task, write the rows, print the table."""
-    options = tyro.cli(CoarseOptions, prog="python -m benchmarks.coarse_model")
-    for option in ("samples", "episodes", "threads", "horizon"):
-        if getattr(options, option) is not None and getattr(options, option) < 1:
-            raise UserError(f"--{option} is {getattr(options, option)}; it must be at least 1")
+    options = read_options(CoarseOptions, "coarse_model")
     print("errors of the achieved goal after the last control step, in the goal's unit")
     print(f"{'task':24s} {'actions':8s} {'H':>3s} {'substeps':>9s} {'speed-up':>9s} {'median':>9s} {'p90':>9s} "
           f"{'max':>9s} {'diverged':>9s}")  # fmt: skip

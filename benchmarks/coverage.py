@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tyro
 
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.checkpoint import read_tensors
 from napsp.config import METHODS
@@ -71,12 +71,10 @@ def draw(path: Path, panels: dict[str, np.ndarray], scale: float, captions: dict
 
 def main() -> int:
     """Train what is missing, measure, draw, append to results/coverage.csv."""
-    options = tyro.cli(CoverageOptions, prog="python -m benchmarks.coverage")
+    options = read_options(CoverageOptions, "coverage", bins=2)
     env_name, path = tasks.canonical_name(options.env), RESULTS / "coverage.csv"
     if not env_name.startswith("point_maze"):
         raise UserError(f"coverage is drawn for point_maze and point_maze_long only, not for {env_name}")
-    if options.bins < 2:
-        raise UserError(f"--bins is {options.bins}; it must be at least 2")
     scale = tasks.make(env_name).unwrapped.scale
     panels: dict[str, np.ndarray] = {}
     captions: dict[str, str] = {}

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.cells import RESULTS, learning_curves
+from benchmarks.command import read_options
 from benchmarks.sweep import HARDER_TASKS, PAPER_TASKS
 from napsp.config import METHODS
 from napsp.errors import run_command
@@ -121,8 +123,14 @@ def grid(panels: list[tuple[str, str]], n_columns: int, path: Path) -> None:
     print(f"picture: {path}")
 
 
+@dataclass(frozen=True)
+class CurveOptions:
+    """Draw figures 3 and 5, and the curves of two harder tasks, from results/runs; there is nothing to choose."""
+
+
 def main() -> int:
     """Draw the figures; name the cells that were not run."""
+    read_options(CurveOptions, "curves")
     for env in PAPER_TASKS:
         missing = [method for method in METHODS if not current_runs(env).get(method)]
         if missing:

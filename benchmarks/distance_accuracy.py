@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 from scipy.stats import pearsonr, spearmanr
 
 from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
+from benchmarks.command import read_options
 from benchmarks.maze_truth import MazeSearch
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
@@ -91,12 +91,10 @@ def agreement(probe: Probe, estimate: np.ndarray) -> dict[str, float]:
 
 def main() -> int:
     """Train what is missing, compare, print, append to results/distance_accuracy.csv."""
-    options = tyro.cli(AccuracyOptions, prog="python -m benchmarks.distance_accuracy")
+    options = read_options(AccuracyOptions, "distance_accuracy", n_goals=2)
     env_name = tasks.canonical_name(options.env)
     if not env_name.startswith("point_maze"):
         raise UserError(f"exact shortest paths exist for point_maze and point_maze_long only, not for {env_name}")
-    if options.n_states < 1 or options.n_goals < 2:
-        raise UserError("--n-states must be at least 1 and --n-goals at least 2")
     torch.set_num_threads(1)
     path = RESULTS / "distance_accuracy.csv"
     configs = [preset(env_name, method=method, seed=seed) for method in METHODS for seed in options.seeds]

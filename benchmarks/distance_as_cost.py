@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 
 from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
+from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, load_model
 from napsp.episodes import evaluate
@@ -139,9 +139,7 @@ def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, str]]:
 
 def main() -> int:
     """Run missing cells and print the table."""
-    options = tyro.cli(CostOptions, prog="python -m benchmarks.distance_as_cost")
-    if options.episodes < 1:
-        raise UserError(f"--episodes is {options.episodes}; it must be at least 1")
+    options = read_options(CostOptions, "distance_as_cost")
     env_name, path = tasks.canonical_name(options.env), RESULTS / "distance_as_cost.csv"
     torch.set_num_threads(1)
     unknown = set(options.variants) - set(VARIANTS)

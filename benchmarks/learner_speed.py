@@ -17,9 +17,9 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-import tyro
 
 from benchmarks.cells import report
+from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.checkpoint import git_revision, sizes_of
 from napsp.config import TrainConfig
@@ -111,9 +111,7 @@ def matrix_product_speed(width: int, n_rows: int) -> float:
 
 def main() -> int:
     """Measure, print, optionally write JSON."""
-    options = tyro.cli(LearnerSpeedOptions, prog="python -m benchmarks.learner_speed")
-    if min(options.rounds, options.updates, options.threads) < 1:
-        raise UserError("--rounds, --updates and --threads must be at least 1")
+    options = read_options(LearnerSpeedOptions, "learner_speed")
     torch.set_num_threads(options.threads)
     torch.set_float32_matmul_precision(options.matmul_precision)
     config = preset(

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 
 from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
+from benchmarks.command import read_options
 from benchmarks.curves import LINES, line_of
 from mpc.motion import action_rate
 from mpc.rollout import available_cores
@@ -47,7 +47,7 @@ class VersusOptions:
     env: str = "fetch_wall"
     """Task."""
     planners: tuple[str, ...] = PLANNERS
-    """Search algorithms."""
+    """Search algorithms; none for the policy alone."""
     budgets: tuple[int, ...] = (64,)
     """Simulated plans per control step, over all refinements."""
     proposals: tuple[bool, ...] = (True, False)
@@ -224,9 +224,7 @@ def draw(env_name: str, episodes: int = 50, seed: int = 90_000, training_seed: i
 
 def main() -> int:
     """Run missing cells, print the table, draw the figure."""
-    options = tyro.cli(VersusOptions, prog="python -m benchmarks.policy_vs_mpc")
-    if options.episodes < 1 or min(options.budgets, default=0) < 8:
-        raise UserError("--episodes must be at least 1 and every budget at least 8")
+    options = read_options(VersusOptions, "policy_vs_mpc", may_be_empty=("planners",), budgets=8)
     unknown = set(options.planners) - set(PLANNERS)
     if unknown:
         raise UserError(f"unknown planner {unknown.pop()!r}; choose from: {', '.join(PLANNERS)}")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks import tables_planning as planning
 from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
+from benchmarks.command import read_options
 from napsp.checkpoint import write_atomically
 from napsp.errors import run_command
 
@@ -34,8 +36,14 @@ def updated(text: str) -> str:
     return f"{text.split(START, maxsplit=1)[0]}{START}\n\n{body}\n\n{END}{text.split(END)[1]}"
 
 
+@dataclass(frozen=True)
+class ReadmeOptions:
+    """Write the tables of the README from the rows in results/; there is nothing to choose."""
+
+
 def main() -> int:
     """Write the results into the README."""
+    read_options(ReadmeOptions, "readme")
     write_atomically(README, updated(README.read_text()).encode())
     print(f"{README} updated from results/")
     return 0

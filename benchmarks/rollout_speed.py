@@ -25,10 +25,10 @@ from typing import Any, Literal
 import gymnasium
 import mujoco
 import numpy as np
-import tyro
 from mujoco.rollout import Rollout
 
 from benchmarks.cells import report
+from benchmarks.command import read_options
 from mpc.controller import Plan
 from mpc.rollout import RolloutEngine, available_cores
 from mpc.speed import HELD, RawRollout
@@ -37,7 +37,7 @@ from napsp.checkpoint import git_revision
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
-from napsp.errors import UserError, run_command
+from napsp.errors import run_command
 from planners.search_options import OPTIONS
 from planners.session import Session
 
@@ -51,6 +51,8 @@ class SpeedOptions:
 
     env: str = "fetch_wall"
     """Task."""
+    checkpoint: Path | None = None
+    """A file or folder written by napsp.train; default: the one that ships for the task."""
     samples: int = 64
     """Plans per call."""
     horizon: int = 15
@@ -131,6 +133,7 @@ def measure_plan(options: SpeedOptions) -> dict[str, Any]:
         "mppi",
         OPTIONS["mppi"](
             env=options.env,
+            checkpoint=options.checkpoint,
             samples=options.samples,
             horizon=options.horizon,
             threads=options.threads,
@@ -209,9 +212,7 @@ def measure_collection(rounds: int) -> dict[str, float]:
 
 def main() -> int:
     """Measure, print, optionally write JSON."""
-    options = tyro.cli(SpeedOptions, prog="python -m benchmarks.rollout_speed")
-    if options.rounds < 1:
-        raise UserError(f"--rounds is {options.rounds}; it must be at least 1")
+    options = read_options(SpeedOptions, "rollout_speed")
     figures: dict[str, Any] = {
         "env": tasks.canonical_name(options.env),
         "samples": options.samples,

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 
 from benchmarks.cells import RESULTS, append_result, find, read_results
+from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.checkpoint import SHIPPED, git_revision
 from napsp.errors import UserError, run_command
@@ -55,6 +55,8 @@ class SmoothingOptions:
 
     env: str = "fetch_wall"
     """Task."""
+    checkpoint: Path | None = None
+    """A file or folder written by napsp.train; default: the one that ships for the task."""
     planner: str = "mppi"
     """Planner: mppi, cem, icem or predictive_sampling, with its default options."""
     proposals: bool = True
@@ -71,7 +73,13 @@ class SmoothingOptions:
 
 def open_session(options: SmoothingOptions, settings: dict[str, Any]) -> Session:
     """A planning session of one variant."""
-    shared = {"env": options.env, "proposals": options.proposals, "seed": options.seed, "threads": options.threads}
+    shared = {
+        "env": options.env,
+        "checkpoint": options.checkpoint,
+        "proposals": options.proposals,
+        "seed": options.seed,
+        "threads": options.threads,
+    }
     return Session.open(options.planner, OPTIONS[options.planner](**shared, **settings))
 
 
@@ -198,9 +206,7 @@ def describe_row(variant: str, row: Any, plain: Any, env_name: str) -> str:
 
 def main() -> int:
     """Run missing cells, print the table, draw the figure."""
-    options = tyro.cli(SmoothingOptions, prog="python -m benchmarks.smoothing")
-    if options.episodes < 2:
-        raise UserError(f"--episodes is {options.episodes}; a paired comparison needs at least 2")
+    options = read_options(SmoothingOptions, "smoothing", episodes=2)
     if options.planner not in ("mppi", "cem", "icem", "predictive_sampling"):
         raise UserError(f"unknown planner {options.planner!r}; choose mppi, cem, icem or predictive_sampling")
     env_name, path = tasks.canonical_name(options.env), RESULTS / "smoothing.csv"

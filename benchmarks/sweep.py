@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-import tyro
 
 from benchmarks.cells import ROWS, BusyError, cell_name, published, trained
+from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.config import METHODS, TrainConfig
 from napsp.errors import UserError, run_command
@@ -113,9 +113,7 @@ def work_on_ray(options: SweepOptions) -> None:
 
 def main() -> int:
     """Run the sweep."""
-    options = tyro.cli(SweepOptions, prog="python -m benchmarks.sweep")
-    if options.seeds < 1 or options.jobs < 1:
-        raise UserError("--seeds and --jobs must be at least 1")
+    options = read_options(SweepOptions, "sweep")
     unknown = set(options.methods) - set(METHODS)
     if unknown:
         raise UserError(f"unknown method {unknown.pop()!r}; choose from: {', '.join(METHODS)}")

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import tyro
 from scipy.sparse.csgraph import floyd_warshall
 from scipy.stats import spearmanr
 from torch import Tensor
 
+from benchmarks.command import read_options
 from napsp.buffer import EpisodeBuffer, Episodes, sample_pairs, sample_triples
 from napsp.counts import uncertainty
-from napsp.errors import UserError, run_command
+from napsp.errors import run_command
 from napsp.losses import hypotenuse, temporal_label
 
 WALLS = """
@@ -159,9 +159,7 @@ class TabularOptions:
 
 def main() -> int:
     """Print the comparison."""
-    options = tyro.cli(TabularOptions, prog="python -m benchmarks.tabular")
-    if options.seed < 0 or min(options.iterations, default=1) < 1:
-        raise UserError("--seed must be at least 0 and --iterations at least 1")
+    options = read_options(TabularOptions, "tabular")
     world = GridWorld()
     for n_iterations in options.iterations:
         distance = learn(world, np.random.default_rng(options.seed), n_iterations)

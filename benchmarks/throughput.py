@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 
 from benchmarks import scaling
 from benchmarks.batch_simulator import Problem, UnavailableError
 from benchmarks.cells import RESULTS, machine, replace_results
+from benchmarks.command import read_options
 from benchmarks.peers import PEERS, Peer
 from benchmarks.rollout_speed import Replay, clocked
 from mpc.rollout import Followed, Trajectories
@@ -185,9 +185,7 @@ def print_table(rows: list[dict[str, Any]]) -> None:
 
 def main() -> int:
     """Measure, print, put the rows in the place of older ones of the same sizes."""
-    options = tyro.cli(ThroughputOptions, prog="python -m benchmarks.throughput")
-    if options.rounds < 1:
-        raise UserError(f"--rounds is {options.rounds}; it must be at least 1")
+    options = read_options(ThroughputOptions, "throughput")
     if options.scaling and len(set(options.samples or scaling.SAMPLES)) < 3:
         raise UserError("--scaling fits a line; give --samples at least 3 different sizes")
     torch.set_num_threads(1)

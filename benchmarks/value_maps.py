@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 
 from benchmarks.cells import RESULTS, trained
+from benchmarks.command import read_options
 from mpc.cost import LearnedSteps
 from napsp import envs as tasks
 from napsp.checkpoint import load_model, read_tensors
@@ -66,7 +66,7 @@ def maps(folder: Path, env_name: str, scale: float, bins: int) -> dict[str, np.n
 
 def main() -> int:
     """Train what is missing and draw."""
-    options = tyro.cli(MapOptions, prog="python -m benchmarks.value_maps")
+    options = read_options(MapOptions, "value_maps")
     env_name = tasks.canonical_name(options.env)
     if not env_name.startswith("point_maze"):
         raise UserError(f"maps are drawn for point_maze and point_maze_long only, not for {env_name}")

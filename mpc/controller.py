@@ -189,7 +189,7 @@ class Controller:
             trajectories = self.engine.rollout(state, actions[:, :n_simulated], followed)
             costs = self.cost(observation, trajectories, actions, goal)
             self.planner.update(knots, costs)
-        self._warn_if_lost(costs)
+        self._warn_if_lost(costs, trajectories)
         plan, effective_samples = self._actions(self.planner.plan), self.planner.effective_samples
         sampled = time.perf_counter()
         if self.smoother is not None:
@@ -232,7 +232,9 @@ class Controller:
         # float32 like the environments' action spaces: the plan is what will be executed.
         return np.clip(self._to_actions @ knots, -1.0, 1.0).astype(np.float32)
 
-    def _warn_if_lost(self, costs: np.ndarray) -> None:
+    def _warn_if_lost(self, costs: np.ndarray, trajectories: Trajectories) -> None:
         if not np.isfinite(costs).any() and not self._warned:
             self._warned = True
-            warnings.warn("every sampled plan diverged; keeping the previous plan", RuntimeWarning, stacklevel=3)
+            diverged = trajectories.diverged.all()
+            reason = "every sampled plan diverged" if diverged else "the cost of every sampled plan is not finite"
+            warnings.warn(f"{reason}; keeping the previous plan", RuntimeWarning, stacklevel=3)

@@ -41,7 +41,13 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file, atomically; its folder is made when missing."""
+    """Write a JSON file, atomically; its folder is made when missing.
+
+    Raises:
+        UserError: ``path`` is a folder.
+    """
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; give the name of a file")
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, (json.dumps(content, indent=2) + "\n").encode())
 
@@ -148,9 +154,10 @@ def load_model(path: str | Path, env: str) -> Model:
     if path.is_dir():
         path = path / MODEL_FILE
     tensors, header = read_tensors(path, "model")
+    trained_on = header["config"]["env"]  # before anything else: a task of one's own may not be at hand any more
+    if trained_on != canonical_name(env):
+        raise UserError(f"{path} was trained on {trained_on}, not on {env}; give a checkpoint of {env}")
     config = from_dict(header["config"])
-    if config.env != canonical_name(env):
-        raise UserError(f"{path} was trained on {config.env}, not on {env}; give a checkpoint of {env}")
     sizes = tuple(header["sizes"])
     policy: Policy = GaussianPolicy(sizes, config.hidden)
     if config.agent == "ddpg":

@@ -35,7 +35,7 @@ class TrainConfig:
 
     # -- amount of work --
     n_episodes: int = 500
-    """Training episodes in total, warm-up included."""
+    """Training episodes in total, warm-up included; rounded up to whole iterations."""
     n_warmup_episodes: int = 20
     """Episodes of random actions that seed the buffer D and set the input scaling."""
     rescale: bool = False

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from napsp.buffer import Episodes, concatenate
+from napsp.envs.check import check_finite
 from napsp.networks import Policy
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -24,7 +25,11 @@ def roll(
     horizon: int,
     options: Sequence[dict[str, Any] | None] | None = None,
 ) -> Episodes:
-    """Run one episode of ``horizon`` steps in each environment, in lockstep; ``options`` are its reset's."""
+    """Run one episode of ``horizon`` steps in each environment, in lockstep; ``options`` are its reset's.
+
+    Raises:
+        UserError: an environment observed numbers that are not finite.
+    """
     resets = zip(envs, seeds, options or [None] * len(envs), strict=True)
     starts = [env.reset(seed=seed, options=chosen)[0] for env, seed, chosen in resets]
     n, spaces = len(envs), envs[0].observation_space.spaces  # type: ignore[attr-defined]
@@ -41,6 +46,8 @@ def roll(
             break
         actions[:, t] = actor(observations[:, t], goals)
         current = [env.step(actions[e, t])[0] for e, env in enumerate(envs)]
+    seen = {"observation": observations, "achieved_goal": achieved, "desired_goal": goals}
+    check_finite(seen, type(envs[0].unwrapped).__name__)
     return Episodes(observations, achieved, actions, goals)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import traceback
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 
@@ -55,3 +57,9 @@ def load_object(name: str) -> Any:
             f"cannot load {name} ({kind}{error}); give module:name and start the command in the folder that holds the "
             "module"
         ) from None
+
+
+def describe_failure(error: Exception) -> str:
+    """Kind and words of an error in the user's own code, and the line it comes from."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"

@@ -87,9 +87,16 @@ def write_rows(path: Path, rows: list[Row]) -> None:
 
 
 def read_rows(path: Path, up_to_episode: float) -> list[Row]:
-    """Rows written before a checkpoint; later ones belong to work that was lost."""
+    """Rows written before a checkpoint; later ones belong to work that was lost.
+
+    Raises:
+        UserError: the file does not hold rows of numbers.
+    """
     if not path.is_file():
         return []
-    with open(path, newline="") as file:
-        rows = [{k: float(v) for k, v in row.items() if v} for row in csv.DictReader(file)]
-    return [row for row in rows if row["episodes"] <= up_to_episode]
+    try:
+        with open(path, newline="") as file:
+            rows = [{k: float(v) for k, v in row.items() if v} for row in csv.DictReader(file, strict=True)]
+        return [row for row in rows if row["episodes"] <= up_to_episode]
+    except (ValueError, KeyError, TypeError, csv.Error) as error:
+        raise UserError(f"{path} is damaged ({error!r}); delete it, or begin anew with --restart") from None

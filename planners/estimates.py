@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mpc.cost import EuclideanSteps, GivenSteps, LearnedSteps, NoSteps, StepsToGo
 from napsp.checkpoint import Model, load_model, shipped_model
-from napsp.errors import UserError, load_object
+from napsp.errors import UserError, describe_failure, load_object
 from planners.options import PlanOptions
 
 
@@ -69,9 +67,7 @@ def own_cost(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         try:
             found = function(achieved_goals, goal)
         except Exception as error:
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            problem = f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
-            raise UserError(f"--cost {name} failed with {problem}; correct the function") from error
+            raise UserError(f"--cost {name} failed with {describe_failure(error)}; correct the function") from error
         try:
             found = np.asarray(found, np.float64)
         except (TypeError, ValueError):

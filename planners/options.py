@@ -187,6 +187,16 @@ class PlanOptions:
         default = PLANNING_SUBSTEPS.get(canonical_name(self.env), max(1, own // 4))
         return self.planning_substeps or min(own, default)
 
+    @property
+    def n_proposals(self) -> int:
+        """Rollouts of the policy, or of d's greedy actions, among the samples."""
+        return (self.proposals + self.greedy_proposals) if self.cost == "distance" else 0
+
+    @property
+    def least_samples(self) -> int:
+        """Plans that are tried whatever the noise, and one with noise: with fewer there is no search."""
+        return 1
+
     def __post_init__(self) -> None:
         if self.cost not in COSTS and ":" not in self.cost:
             raise UserError(f"unknown cost {self.cost!r}; choose one of: {', '.join(COSTS)}, or module:function")
@@ -194,6 +204,11 @@ class PlanOptions:
             value = getattr(self, name, None)
             if value is not None and not low <= value <= high:  # false for NaN as well
                 raise UserError(f"--{name.replace('_', '-')} is {value}; it must lie between {low:g} and {high:g}")
+        if self.samples < self.least_samples:
+            raise UserError(
+                f"--samples is {self.samples}; the last plans and proposals take {self.least_samples - 1} of them, "
+                f"so give at least {self.least_samples}"
+            )
         if getattr(self, "elites", 1) > self.samples:
             raise UserError(f"--elites exceeds the {self.samples} samples; use fewer elites or more samples")
         if self.smooth and self.cost != "distance":

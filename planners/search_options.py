@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +19,11 @@ class MPPIOptions(PlanOptions):
     """Correlation of the noise between neighbouring knots."""
     temperature: float = 0.2
     """MPPI's lambda, in standard deviations of the sampled costs."""
+
+    @property
+    def least_samples(self) -> int:
+        """The mean, the best plan, proposals, and one with noise."""
+        return 2 + self.n_proposals + 1
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,11 @@ class CEMOptions(PlanOptions):
     """The deviation does not shrink below this."""
     momentum: float = 0.1
     """Weight of the old mean and deviation in the new ones."""
+
+    @property
+    def least_samples(self) -> int:
+        """The mean, proposals, and one with noise."""
+        return 1 + self.n_proposals + 1
 
 
 @dataclass(frozen=True)
@@ -59,6 +70,12 @@ class ICEMOptions(PlanOptions):
     momentum: float = 0.1
     """Weight of the old mean and deviation in the new ones."""
 
+    @property
+    def least_samples(self) -> int:
+        """Kept elites, proposals (in the first refinement) and the mean (in the last), and one with noise."""
+        others = self.n_proposals + 1 if self.refinements == 1 else max(self.n_proposals, 1)
+        return math.ceil(self.kept * self.elites) + others + 1
+
 
 @dataclass(frozen=True)
 class PredictiveSamplingOptions(PlanOptions):
@@ -68,6 +85,11 @@ class PredictiveSamplingOptions(PlanOptions):
     """Standard deviation of the sampled noise; actions lie in [-1, 1]."""
     noise_correlation: float = 0.6
     """Correlation of the noise between neighbouring knots."""
+
+    @property
+    def least_samples(self) -> int:
+        """The plan, proposals, and one with noise."""
+        return 1 + self.n_proposals + 1
 
 
 @dataclass(frozen=True)

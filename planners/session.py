@@ -18,6 +18,7 @@ from mpc.rollout import Actor, RolloutEngine
 from mpc.speed import raw_speed_fraction
 from napsp import envs as tasks
 from napsp.checkpoint import Model, git_revision
+from napsp.envs.check import check_finite
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.lean import lean, refresh
@@ -126,9 +127,13 @@ class Session:
         """Plan one full episode; it goes on after the goal is reached, to see whether it holds.
 
         All chance comes from ``seed``: the episode is the same alone and in a series.
+
+        Raises:
+            UserError: the environment observed numbers that are not finite.
         """
         started = time.monotonic()
         observation, _ = self.env.reset(seed=seed)
+        check_finite(observation, self.env_name)
         refresh(self.controller.engine.dynamics)
         self.controller.reset(np.random.default_rng([seed, 1]))  # not the stream that the environment draws from
         world = self.env.unwrapped
@@ -148,6 +153,7 @@ class Session:
             cost = self.controller.cost_of(world, observation, plan.actions)
             actions.append(plan.action)
             observation, *_ = self.env.step(plan.action)
+            check_finite(observation, self.env_name)
             success = bool(world.reached(observation["achieved_goal"], observation["desired_goal"]))
             first_hit = step + 1 if success and first_hit is None else first_hit
             steps.append(self._step(observation, plan, cost))

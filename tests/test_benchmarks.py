@@ -50,6 +50,7 @@ def test_sweep_trains_every_cell_once_and_publishes_it(workplace, monkeypatch):
     episodes, means, _ = curves.over_seeds(runs["ours"], "max_reward")
     expected = np.mean([run["curve"][0]["max_reward"] for run in runs["ours"]])
     assert list(episodes) == [8, 12, 16] and means[0] == pytest.approx(expected)
+    monkeypatch.setattr(sys, "argv", ["curves"])
     assert curves.main() == 0
     assert (cells.RESULTS / "figure3.png").read_bytes()[:4] == b"\x89PNG"
 

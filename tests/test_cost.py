@@ -139,10 +139,15 @@ def test_all_diverged_keeps_the_plan_and_warns_once(worlds):
     observation, _ = world.reset(seed=0)
     control = controller(world)
     control.cost = Cost(lambda *rows: np.full(len(rows[0]), np.nan), world.reached, "terminal")
-    with pytest.warns(RuntimeWarning, match="keeping the previous plan") as caught:
+    with pytest.warns(RuntimeWarning, match="the cost of every sampled plan is not finite; keeping the prev") as caught:
         for _ in range(3):
             plan = control.plan(world, observation)
     assert len(caught) == 1
+    np.testing.assert_array_equal(plan.actions, 0.0)
+    control, rollout = controller(world), control.engine.rollout
+    control.engine.rollout = lambda *given: replace(rollout(*given), diverged=np.ones(len(given[1]), bool))
+    with pytest.warns(RuntimeWarning, match="every sampled plan diverged; keeping the previous plan"):
+        plan = control.plan(world, observation)
     np.testing.assert_array_equal(plan.actions, 0.0)
 
 

@@ -52,7 +52,7 @@ def test_what_an_environment_changes_later_reaches_the_plans(change):
 
 
 def test_an_episode_begins_with_the_models_in_step():
-    session = Session.open("mppi", MPPIOptions(env="fetch_reach", cost="euclidean", threads=1, samples=2))
+    session = Session.open("mppi", MPPIOptions(env="fetch_reach", cost="euclidean", threads=1, samples=3))
     world, planned = session.env.unwrapped, session.controller.engine.dynamics.model
     assert planned.ngeom < world.model.ngeom and world.dynamics.model is world.model
     world.model.dof_damping += 1.0

@@ -1,7 +1,10 @@
 """Search algorithms: exact properties, convergence on a quadratic, and no dependence on anything."""
 
+import copy
+import dataclasses
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -13,13 +16,14 @@ from mpc.cost import Cost, EuclideanSteps
 from mpc.knots import interpolation_matrix, shift_matrix
 from mpc.rollout import RolloutEngine
 from napsp.envs.dynamics import get_state
+from napsp.errors import UserError
 from planners.cem import CEM
 from planners.icem import ICEM
 from planners.mppi import MPPI, softmin
 from planners.predictive_sampling import PredictiveSampling
 from planners.sampling import best_plans, coloured_noise, correlated_noise
-from planners.search_options import MPPIOptions
-from planners.session import Session
+from planners.search_options import OPTIONS, MPPIOptions
+from planners.session import Session, make_planner
 from planners.smooth import Held
 
 ALL = [MPPI, CEM, ICEM, PredictiveSampling]
@@ -292,6 +296,30 @@ def test_the_search_goes_on_from_a_smoothed_plan_that_was_rolled_out(worlds):
         planned = controller.plan(world, observation)
     np.testing.assert_array_equal(planned.actions, smooth)
     assert not np.allclose(planner.plan, smooth, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["mppi", "cem", "icem", "predictive_sampling"])
+@pytest.mark.parametrize("refinements", [1, 2])
+def test_the_least_number_of_samples_is_the_one_that_leaves_room_for_noise(name, refinements):
+    few = {"elites": 2} if name in ("cem", "icem") else {}
+    options = OPTIONS[name](env="point_maze", refinements=refinements, **few)
+    least = options.least_samples
+    with pytest.raises(UserError, match=f"give at least {least}"):
+        dataclasses.replace(options, samples=least - 1)
+
+    def fewest_noisy(n_samples):
+        planner = make_planner(name, SimpleNamespace(**{**vars(options), "samples": n_samples}), 3, 2)
+        rng, proposals, found = np.random.default_rng(0), np.full((1, 3, 2), 0.5), []
+        for _ in range(3):
+            for _ in range(refinements):
+                knots = copy.deepcopy(planner).sample(np.random.default_rng(1), proposals)
+                other = planner.sample(rng, proposals)
+                found.append(int((knots != other).any((1, 2)).sum()))
+                planner.update(other, rng.random(len(other)))
+            planner.shift(np.eye(3))
+        return min(found)
+
+    assert fewest_noisy(least) == 1 and fewest_noisy(least - 1) == 0
 
 
 def test_planning_and_environment_draw_from_different_streams(monkeypatch):

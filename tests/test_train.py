@@ -14,11 +14,20 @@ import numpy as np
 import pytest
 import torch
 
-from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, save_model, write_atomically, write_tensors
+from napsp.checkpoint import (
+    MODEL_FILE,
+    load_model,
+    read_tensors,
+    save_model,
+    write_atomically,
+    write_json,
+    write_tensors,
+)
 from napsp.config import ADDED, METHODS, RANGES, TrainConfig, from_dict
 from napsp.errors import UserError
 from napsp.networks import DistanceNetwork, GaussianPolicy
 from napsp.presets import preset
+from napsp.progress import read_rows
 from napsp.resume import STATE_FILE, read_training
 from napsp.train import parse, train
 
@@ -272,6 +281,30 @@ def test_truncated_and_foreign_checkpoints_give_one_clear_line(saved, tmp_path):
         load_model(path, "point_maze")
     with pytest.raises(UserError, match="no checkpoint at"):
         load_model(tmp_path / "missing", "point_maze")
+
+
+def test_a_checkpoint_of_a_task_that_is_not_at_hand_is_named_as_such(saved):
+    path, _ = saved
+    tensors, header = read_tensors(path, "model")
+    write_tensors(path, tensors, {**header, "config": {**header["config"], "env": "gone:Task"}})
+    with pytest.raises(UserError, match="was trained on gone:Task, not on point_maze"):
+        load_model(path, "point_maze")
+
+
+@pytest.mark.parametrize("content", ["", "episodes,success_rate\n10,much\n", "success_rate\n0.5\n", "episodes\n1,2\n"])
+def test_damaged_rows_are_one_sentence(tmp_path, content):
+    path = tmp_path / "metrics.csv"
+    path.write_text(content)
+    if not content:
+        assert read_rows(path, 10) == []
+        return
+    with pytest.raises(UserError, match=r"metrics.csv is damaged .*; delete it, or begin anew with --restart"):
+        read_rows(path, 10)
+
+
+def test_a_folder_is_no_file_to_write_to(tmp_path):
+    with pytest.raises(UserError, match="is a folder; give the name of a file"):
+        write_json(tmp_path, {})
 
 
 def test_weights_that_are_not_finite_are_refused(saved):

@@ -97,7 +97,10 @@ def episode_length(name: str) -> int:
     if name in TASKS:
         return TASKS[name][3]
     if ":" in name:
-        return int(getattr(load_object(name), "max_episode_steps", DEFAULT_EPISODE_LENGTH))
+        steps = getattr(load_object(name), "max_episode_steps", DEFAULT_EPISODE_LENGTH)
+        if not isinstance(steps, int) or steps < 1:
+            raise UserError(f"max_episode_steps of {name} is {steps!r}; give a whole number of at least 1")
+        return steps
     steps = gymnasium.spec(name).max_episode_steps
     if steps is None:
         raise UserError(f"{name} has no time limit; register it with max_episode_steps")
@@ -118,13 +121,21 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
         env: Any = load(**kwargs)
     except Exception as error:
         raise UserError(f"{name} could not be created ({error}); check it with gymnasium.make first") from error
+    if not isinstance(env, gymnasium.Env):
+        raise UserError(f"{name} is no gymnasium.Env; derive it from gymnasium_robotics.core.GoalEnv")
     missing = [member for member in REQUIRED if not hasattr(env.unwrapped, member)]
     if missing:
         env.close()
         env = _adapt(name, load, missing, **kwargs)
+    elif name not in _CHECKED:
+        from napsp.envs.check import check_task
+
+        check_task(env.unwrapped, name)
+        _CHECKED.add(name)  # once per process: it takes a reset, and training makes several
     return gymnasium.wrappers.TimeLimit(env.unwrapped, episode_length(name))
 
 
+_CHECKED: set[str] = set()
 REQUIRED = ("dynamics", "model", "data", "reached", "compute_reward", "goal_positions", "goal_radius", "step_length")
 
 

@@ -1,0 +1,121 @@
+"""A task of the user's own that breaks its contract is named in one sentence; one that keeps it is left alone."""
+
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from napsp import envs
+from napsp.envs.check import check_finite, check_task
+from napsp.envs.open_loop import OpenLoopEnv
+from napsp.envs.point_maze import PointMazeEnv
+from napsp.episodes import roll
+from napsp.errors import UserError
+
+
+class Broken(PointMazeEnv):
+    """A maze in which one member is replaced."""
+
+    def __init__(self, **members):
+        super().__init__()
+        for name, member in members.items():
+            setattr(self, name, member)
+
+
+class Control:
+    """The maze's dynamics with another ``control``."""
+
+    def __init__(self, control):
+        self._own, self.control = PointMazeEnv().dynamics, control
+
+    def __getattr__(self, name):
+        return getattr(self._own, name)
+
+
+def raising(*arguments, **options):
+    raise RuntimeError("out of order")
+
+
+def test_tasks_that_keep_the_contract_pass_without_a_word():
+    for name in ("point_maze", "fetch_wall", "claw", "FetchPush-v4"):
+        env = envs.make(name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            check_task(env.unwrapped, name)
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("members", "words"),
+    [
+        ({"action_space": spaces.Discrete(4)}, "actions of task must be a flat Box from -1 to 1"),
+        ({"action_space": spaces.Box(-2, 2, (2,))}, "actions of task must be a flat Box from -1 to 1"),
+        ({"observation_space": spaces.Box(-1, 1, (4,))}, "must observe a Dict of three flat Box spaces"),
+        ({"reset": lambda: None}, r"reset\(seed=0\) of task failed with TypeError"),
+        ({"reset": lambda seed: ({"observation": 3.0}, {})}, "observes observation as float; give an array of"),
+        ({"reached": lambda achieved, goal: True}, r"reached of task returns bool of shape \(\); .*of shape \(3, 2\)"),
+        ({"compute_reward": raising}, r"compute_reward of task failed with RuntimeError: out of order \(test_check.py"),
+        ({"goal_positions": lambda goals: goals}, r"goal_positions of task returns float64 of shape \(3, 2, 2\)"),
+        ({"goal_positions": lambda goals: np.full((3, 2, 3), np.nan)}, "goal_positions of task returns numbers that"),
+        ({"dynamics": Control(lambda actions: np.zeros((1, 5)))}, "returns 5 numbers per action and the model has 2"),
+        ({"camera": "nowhere"}, "camera of task failed with KeyError"),
+        ({"step": raising}, "step of task failed with RuntimeError"),
+    ],
+)
+def test_a_broken_member_is_named(members, words):
+    with pytest.raises(UserError, match=words):
+        check_task(Broken(**members), "task")
+
+
+def test_a_step_that_planning_does_not_foresee_is_warned_of():
+    class Windy(PointMazeEnv):
+        def step(self, action):
+            return super().step(np.asarray(action) + 0.1)
+
+    with pytest.warns(RuntimeWarning, match="windy: a planned step differs from step"):
+        check_task(Windy(), "windy")
+
+
+def test_numbers_that_are_not_finite_stop_collection_and_planning():
+    class Lost(PointMazeEnv):
+        """The observation fails in the third step."""
+
+        def reset(self, **options):
+            self.n_steps = 0
+            return super().reset(**options)
+
+        def step(self, action):
+            self.n_steps += 1
+            observation, *others = OpenLoopEnv.step(self, action)
+            if self.n_steps == 3:
+                observation["achieved_goal"] = np.array([np.nan, 0.0])
+            return observation, *others
+
+    with pytest.raises(UserError, match="Lost observed numbers that are not finite in achieved_goal"):
+        roll([Lost()], lambda observations, goals: np.zeros((1, 2)), [0], 5)
+    roll([Lost()], lambda observations, goals: np.zeros((1, 2)), [0], 2)
+    with pytest.raises(UserError, match="desired_goal"):
+        check_finite(
+            {"observation": np.zeros(2), "achieved_goal": np.zeros(1), "desired_goal": np.array([np.inf])}, "x"
+        )
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("class Task: pass", "my_task:Task is no gymnasium.Env"),
+        ("from napsp.envs.point_maze import PointMazeEnv\nclass Task(PointMazeEnv):\n    max_episode_steps = 0",
+         "max_episode_steps of my_task:Task is 0"),
+        ("from napsp.envs.point_maze import PointMazeEnv\nclass Task(PointMazeEnv):\n    def _start(self):\n"
+         "        super()._start()\n        self.goal = self.goal * float('nan')", "not finite in desired_goal"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("command", ["napsp.train", "planners.mppi --cost euclidean --no-video"])
+def test_commands_refuse_broken_classes_without_a_traceback(tmp_path, body, words, command):
+    (tmp_path / "my_task.py").write_text(body)
+    arguments = [sys.executable, "-m", *command.split(), "--env", "my_task:Task"]
+    done = subprocess.run(arguments, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2 and words in done.stderr and "Traceback" not in done.stderr, done.stderr
