@@ -79,6 +79,15 @@ def checkpoint_of(config: TrainConfig) -> Path:
     return trained(config)
 
 
+def shipped_training(env: str) -> tuple[str, int] | None:
+    """Configuration hash and training seed of the model that ships for a task; None if none does."""
+    path = SHIPPED / file_name(env) / RECORD_FILE
+    if not path.is_file():
+        return None
+    record = json.loads(path.read_text())
+    return record["config_hash"], record["seed"]
+
+
 def published(config: TrainConfig) -> bool:
     """Whether the curve of a configuration is in the results, here or brought along with them."""
     return (ROWS / f"{cell_name(config)}.json").is_file()

@@ -7,7 +7,6 @@ smoothness against the time to the goal of all cells there are.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,12 +16,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, append_result, find, read_results
+from benchmarks.cells import RESULTS, append_result, find, read_results, shipped_training
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.checkpoint import SHIPPED, git_revision
+from napsp.checkpoint import git_revision
 from napsp.errors import UserError, run_command
-from napsp.record import RECORD_FILE, save_figure
+from napsp.record import save_figure
 from napsp.statistics import describe, paired_difference, wilson_interval
 from planners.episode import EpisodeResult
 from planners.search_options import OPTIONS
@@ -112,9 +111,7 @@ def comparable(rows: Sequence[Any], episodes: int = 50, seed: int = 90_000) -> l
         if settings is None or (row["episodes"], row["seed"], row["threads"]) != (str(episodes), str(seed), "1"):
             continue
         options = OPTIONS[row["planner"]](env=row["env"], proposals=row["proposals"] == "True", **settings)
-        record = SHIPPED / tasks.file_name(row["env"]) / RECORD_FILE
-        shipped = json.loads(record.read_text()) if record.is_file() else {"config_hash": "", "seed": ""}
-        same_model = (row["training_hash"], row["training_seed"]) == (shipped["config_hash"], str(shipped["seed"]))
+        same_model = (row["training_hash"], int(row["training_seed"])) == shipped_training(row["env"])
         if same_model and options.hash() == row["config_hash"]:
             kept.append(row)
     return kept

@@ -40,7 +40,7 @@ def throughput_table() -> list[str]:
         "Same model, samples, control steps, white noise and straight-line cost, interleaved in one run; 1 is the speed of bare `mujoco.rollout` on",
         "the planner's very own motions (*replay*) or with constant controls (*raw*, which meets other contacts). What a library cannot express,",
         "or what was not installed, is said. All get the environment's model; that napsp plans in a copy without visual shapes is part of its speed.",
-        "Time grows linearly with samples and horizon (R² > 0.999 from 16 to 1024 samples, `--scaling`):",
+        "Time grows linearly with the number of samples (R² > 0.998 from 16 to 1024 samples at each of two horizons, `--scaling`):",
         "",
         "![Time per plan against samples](results/throughput_scaling_fetch_wall.png)",
         "",
