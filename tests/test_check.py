@@ -25,14 +25,38 @@ class Broken(PointMazeEnv):
             setattr(self, name, member)
 
 
-class Control:
-    """The maze's dynamics with another ``control``."""
+class Changed:
+    """The maze's dynamics with other members."""
 
-    def __init__(self, control):
-        self._own, self.control = PointMazeEnv().dynamics, control
+    def __init__(self, **members):
+        self._own = PointMazeEnv().dynamics
+        self.__dict__ |= members
 
     def __getattr__(self, name):
         return getattr(self._own, name)
+
+
+STRICT = """
+import numpy as np
+from napsp.envs.point_maze import PointMazeEnv
+
+class Strict(PointMazeEnv):
+    max_episode_steps = np.int64(20)
+    n_resets = 0
+
+    def reset(self, **options):
+        self.n_resets += 1
+        return super().reset(**options)
+
+    def reached(self, achieved_goal, desired_goal):
+        assert np.shape(achieved_goal) == np.shape(desired_goal)
+        return super().reached(achieved_goal, desired_goal)
+"""
+
+
+def in_batches(observe):
+    """The maze's ``observe`` for one row, another for batches."""
+    return lambda features: PointMazeEnv().dynamics.observe(features) if features.ndim == 1 else observe(features)
 
 
 def raising(*arguments, **options):
@@ -60,7 +84,29 @@ def test_tasks_that_keep_the_contract_pass_without_a_word():
         ({"compute_reward": raising}, r"compute_reward of task failed with RuntimeError: out of order \(test_check.py"),
         ({"goal_positions": lambda goals: goals}, r"goal_positions of task returns float64 of shape \(3, 2, 2\)"),
         ({"goal_positions": lambda goals: np.full((3, 2, 3), np.nan)}, "goal_positions of task returns numbers that"),
-        ({"dynamics": Control(lambda actions: np.zeros((1, 5)))}, "returns 5 numbers per action and the model has 2"),
+        ({"compute_reward": lambda achieved, goal, info: np.full(2, -0.5)}, "must be 0 where reached and -1 elsewhere"),
+        ({"step_length": None}, "step_length of task is None; give a positive number"),
+        ({"dynamics": Changed(control=lambda actions: actions[:, 0])}, r"returns float32 of shape \(3, 2\); it must"),
+        (
+            {"dynamics": Changed(control=lambda a: a * np.sum(a))},
+            "control of task depends on what else is in the batch",
+        ),
+        (
+            {"dynamics": Changed(observe=in_batches(lambda f: (f[..., :1], f[..., :2])))},
+            r"observe \(observation\) of task returns",
+        ),
+        (
+            {"dynamics": Changed(observe=in_batches(lambda f: f))},
+            "must return a tuple of observation and achieved goal",
+        ),
+        (
+            {"dynamics": Changed(observe=in_batches(lambda f: (0 * f + f[0, 0], f[..., :2])))},
+            "observe of task depends on what else is in the batch",
+        ),
+        (
+            {"dynamics": Changed(control=lambda actions: np.zeros((*actions.shape[:-1], 5)))},
+            "returns 5 numbers per action and the model has 2",
+        ),
         ({"camera": "nowhere"}, "camera of task failed with KeyError"),
         ({"step": raising}, "step of task failed with RuntimeError"),
     ],
@@ -75,8 +121,21 @@ def test_a_step_that_planning_does_not_foresee_is_warned_of():
         def step(self, action):
             return super().step(np.asarray(action) + 0.1)
 
-    with pytest.warns(RuntimeWarning, match="windy: a planned step differs from step"):
-        check_task(Windy(), "windy")
+    class Weak(PointMazeEnv):
+        def step(self, action):
+            return super().step(0.5 * np.asarray(action))
+
+    for kind in (Windy, Weak):
+        with pytest.warns(RuntimeWarning, match="task: a planned step differs from step"):
+            check_task(kind(), "task")
+
+
+def test_a_success_test_need_not_broadcast_and_the_task_handed_out_is_untouched(tmp_path, monkeypatch):
+    (tmp_path / "strict_task.py").write_text(STRICT)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    env = envs.make("strict_task:Strict")
+    assert env.unwrapped.n_resets == 0 and envs.episode_length("strict_task:Strict") == 20
+    env.close()
 
 
 def test_numbers_that_are_not_finite_stop_collection_and_planning():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from numbers import Real
 from typing import Any
 
 import farama_notifications
@@ -98,9 +99,10 @@ def episode_length(name: str) -> int:
         return TASKS[name][3]
     if ":" in name:
         steps = getattr(load_object(name), "max_episode_steps", DEFAULT_EPISODE_LENGTH)
-        if not isinstance(steps, int) or steps < 1:
+        number = float(steps) if isinstance(steps, Real) else 0.0
+        if not number.is_integer() or number < 1:
             raise UserError(f"max_episode_steps of {name} is {steps!r}; give a whole number of at least 1")
-        return steps
+        return int(number)
     steps = gymnasium.spec(name).max_episode_steps
     if steps is None:
         raise UserError(f"{name} has no time limit; register it with max_episode_steps")
@@ -130,7 +132,11 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
     elif name not in _CHECKED:
         from napsp.envs.check import check_task
 
-        check_task(env.unwrapped, name)
+        tried = load()  # another one, so that the environment handed out begins as its class made it
+        try:
+            check_task(tried.unwrapped, name)
+        finally:
+            tried.close()
         _CHECKED.add(name)  # once per process: it takes a reset, and training makes several
     return gymnasium.wrappers.TimeLimit(env.unwrapped, episode_length(name))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from numbers import Real
 from typing import Any
 
 import mujoco
@@ -14,46 +15,85 @@ from napsp.envs.dynamics import get_state
 from napsp.errors import UserError, describe_failure
 
 PARTS = ("observation", "achieved_goal", "desired_goal")
+DYNAMICS = ("model", "substeps", "n_features", "open_loop", "bind", "control", "observe")
 
 
 def check_task(env: Any, name: str) -> None:
-    """Try every member of a task once, on a few rows.
+    """Try the members of a task, in batches and alone. Resets and steps ``env``: give one that is not needed any more.
 
-    Warns if a step planned from a state differs from the step that the environment takes from there.
+    Warns if steps planned from a state differ from those that the environment takes from there.
 
     Raises:
         UserError: a member fails, or answers in another shape or kind than documented; the sentence names it.
     """
-    n_observation, n_actions, n_goal = _check_spaces(env, name)
-    sizes = {"observation": n_observation, "achieved_goal": n_goal, "desired_goal": n_goal}
-    observation = _tried(name, "reset(seed=0)", lambda: env.reset(seed=0)[0])
-    _check_observation(observation, name, sizes)
-
-    goals = np.stack([np.stack([observation["achieved_goal"], observation["desired_goal"]])] * 3)
-    one = observation["desired_goal"]
-    _check_answer(name, "reached", lambda: env.reached(goals, one), (3, 2), bool)
-    _check_answer(name, "compute_reward", lambda: env.compute_reward(goals[0], goals[1], {}), (2,), float)
-    _check_answer(name, "goal_positions", lambda: env.goal_positions(goals), (3, 2, 3), float)
-    action = np.zeros(n_actions, np.float32)
-    controls = _check_answer(name, "dynamics.control", lambda: env.dynamics.control(action[None]), (1, None), float)
-    if env.dynamics.open_loop and controls.shape[1] != env.model.nu:
-        raise UserError(
-            f"dynamics.control of {name} returns {controls.shape[1]} numbers per action and the model has "
-            f"{env.model.nu} actuators; with open_loop they must agree"
-        )
+    n_observation, n_goal = _check_spaces(env, name)
+    missing = [member for member in DYNAMICS if not hasattr(env.dynamics, member)]
+    if missing:
+        raise UserError(f"the dynamics of {name} lack {', '.join(missing)}; see napsp/envs/dynamics.py")
+    for member in ("goal_radius", "step_length"):
+        value = getattr(env, member)
+        if not isinstance(value, Real) or not 0 < float(value) < np.inf:
+            raise UserError(f"{member} of {name} is {value!r}; give a positive number")
     if isinstance(getattr(env, "camera", None), str):
         _tried(name, "camera", lambda: env.model.camera(env.camera))
 
-    planned = _tried(name, "the simulation of dynamics.bind", lambda: _step_of_a_plan(env, controls))
-    after = _tried(name, "step", lambda: env.step(action)[0])
-    _check_observation(after, name, sizes)
-    if not all(np.array_equal(after[part], found.astype(after[part].dtype)) for part, found in planned.items()):
-        warnings.warn(
-            f"{name}: a planned step differs from step() of the environment, so plans will not come true exactly; "
-            "let both call the same dynamics",
-            RuntimeWarning,
-            stacklevel=2,
+    sizes = {"observation": n_observation, "achieved_goal": n_goal, "desired_goal": n_goal}
+    start = _tried(name, "reset(seed=0)", lambda: env.reset(seed=0)[0])
+    _check_observation(start, name, sizes)
+    _check_goals(env, name, start)
+    _check_dynamics(env, name, sizes)
+
+
+def _check_goals(env: Any, name: str, start: dict[str, np.ndarray]) -> None:
+    achieved = np.stack([np.stack([start["achieved_goal"], start["desired_goal"]])] * 3)
+    desired = np.broadcast_to(start["desired_goal"], achieved.shape)
+    reached = _check_answer(name, "reached", lambda: env.reached(achieved, desired), (3, 2), bool)
+    rewards = _check_answer(
+        name, "compute_reward", lambda: env.compute_reward(achieved[0], desired[0], {}), (2,), float
+    )
+    if not np.array_equal(rewards, reached[0] - 1.0):
+        raise UserError(f"compute_reward of {name} must be 0 where reached and -1 elsewhere, not {rewards}")
+    _check_answer(name, "goal_positions", lambda: env.goal_positions(achieved), (3, 2, 3), float)
+
+
+def _check_dynamics(env: Any, name: str, sizes: dict[str, int]) -> None:
+    dynamics, n_actions = env.dynamics, env.action_space.shape[0]
+    actions = np.linspace(-0.7, 0.9, 2 * n_actions, dtype=np.float32).reshape(2, n_actions)  # two steps, none alike
+    batch = np.stack([actions[::-1], actions, 0.5 * actions])
+    controls = _check_answer(name, "dynamics.control", lambda: dynamics.control(batch), (3, 2, None), float)
+    if dynamics.open_loop and controls.shape[2] != env.model.nu:
+        raise UserError(
+            f"dynamics.control of {name} returns {controls.shape[2]} numbers per action and the model has "
+            f"{env.model.nu} actuators; with open_loop they must agree"
         )
+    alone = _tried(name, "dynamics.control", lambda: dynamics.control(actions[:1]))
+    if not np.array_equal(alone[0], controls[1, 0]):
+        raise UserError(f"dynamics.control of {name} depends on what else is in the batch; use element-wise arithmetic")
+
+    features = _tried(name, "the simulation of dynamics.bind", lambda: _planned(env, controls[1]))
+    pair = _tried(name, "dynamics.observe", lambda: dynamics.observe(np.stack([features, features[::-1]])))
+    if not isinstance(pair, tuple) or len(pair) != 2:
+        raise UserError(f"dynamics.observe of {name} must return a tuple of observation and achieved goal")
+    single = _tried(name, "dynamics.observe", lambda: dynamics.observe(features[1]))
+    for part, found, one in zip(PARTS, pair, single, strict=False):
+        _check_answer(name, f"dynamics.observe ({part})", lambda found=found: found, (2, 2, sizes[part]), float)
+        if not np.array_equal(found[1, 0], one):
+            raise UserError(
+                f"dynamics.observe of {name} depends on what else is in the batch; use element-wise arithmetic"
+            )
+
+    for step, action in enumerate(actions):
+        after = _tried(name, "step", lambda action=action: env.step(action)[0])
+        _check_observation(after, name, sizes)
+        planned = dict(zip(PARTS, (found[0, step] for found in pair), strict=False))
+        if not all(np.array_equal(after[part], found.astype(after[part].dtype)) for part, found in planned.items()):
+            warnings.warn(
+                f"{name}: a planned step differs from step() of the environment, so plans will not come true exactly; "
+                "let both call the same dynamics",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+            return
 
 
 def check_finite(observations: Mapping[str, np.ndarray], name: str) -> None:
@@ -70,13 +110,14 @@ def check_finite(observations: Mapping[str, np.ndarray], name: str) -> None:
 def _check_observation(observation: Any, name: str, sizes: dict[str, int]) -> None:
     for part, size in sizes.items():
         found = observation.get(part) if isinstance(observation, dict) else None
-        if not isinstance(found, np.ndarray) or found.shape != (size,):
-            shown = f"shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
+        fits = isinstance(found, np.ndarray) and np.issubdtype(found.dtype, np.number) and found.shape == (size,)
+        if not fits:
+            shown = f"{found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
             raise UserError(f"{name} observes {part} as {shown}; give an array of {size} numbers as its space says")
     check_finite(observation, name)
 
 
-def _check_spaces(env: Any, name: str) -> tuple[int, int, int]:
+def _check_spaces(env: Any, name: str) -> tuple[int, int]:
     space, actions = env.observation_space, env.action_space
     if not isinstance(space, Dict) or not all(
         isinstance(space.spaces.get(part), Box) and len(space[part].shape or ()) == 1 for part in PARTS
@@ -87,7 +128,7 @@ def _check_spaces(env: Any, name: str) -> tuple[int, int, int]:
     flat = isinstance(actions, Box) and len(actions.shape) == 1
     if not flat or (actions.low != -1).any() or (actions.high != 1).any():
         raise UserError(f"the actions of {name} must be a flat Box from -1 to 1; scale them in dynamics.control")
-    return space["observation"].shape[0], actions.shape[0], space["desired_goal"].shape[0]  # type: ignore[index]
+    return space["observation"].shape[0], space["desired_goal"].shape[0]  # type: ignore[index]  # type: ignore[index]
 
 
 def _check_answer(
@@ -107,11 +148,12 @@ def _check_answer(
     return found
 
 
-def _step_of_a_plan(env: Any, controls: np.ndarray) -> dict[str, np.ndarray]:
-    simulation, features = env.dynamics.bind(mujoco.MjData(env.model)), np.zeros((1, env.dynamics.n_features))
+def _planned(env: Any, controls: np.ndarray) -> np.ndarray:
+    simulation = env.dynamics.bind(mujoco.MjData(env.model))
+    features = np.full((len(controls), env.dynamics.n_features), np.nan)
     simulation.restore(get_state(env.model, env.data))
     simulation.advance(controls, features)
-    return dict(zip(PARTS, env.dynamics.observe(features[0]), strict=False))
+    return features
 
 
 def _tried(name: str, member: str, call: Callable[[], Any]) -> Any:
