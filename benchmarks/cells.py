@@ -14,11 +14,13 @@ from typing import Any
 import mujoco
 
 from mpc.rollout import available_cores
-from napsp.checkpoint import SHIPPED, git_revision, write_atomically, write_json
 from napsp.config import TrainConfig
 from napsp.envs import file_name
-from napsp.progress import read_rows
-from napsp.record import RECORD_FILE
+from napsp.storage.checkpoint import SHIPPED
+from napsp.storage.files import write_atomically, write_json
+from napsp.storage.progress import read_rows
+from napsp.storage.record import RECORD_FILE
+from napsp.storage.revision import git_revision
 from napsp.train import train
 
 RESULTS = Path("results")

@@ -21,12 +21,12 @@ from benchmarks.command import read_options
 from benchmarks.rollout_speed import clocked
 from mpc.rollout import Actor, RolloutEngine, Trajectories
 from napsp import envs as tasks
-from napsp.checkpoint import load_model, shipped_model
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError, run_command
-from napsp.greedy import GreedyPolicy
-from planners.options import PlanOptions
+from napsp.policy.greedy import GreedyPolicy
+from napsp.storage.checkpoint import load_model, shipped_model
+from planners.app.options import PlanOptions
 
 KEY = ("env", "actions", "horizon", "substeps")
 ENVS = ("point_maze", "fetch_wall", "fetch_pick_place_wall", "claw")

@@ -14,14 +14,14 @@ import numpy as np
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.checkpoint import read_tensors
 from napsp.config import METHODS
 from napsp.errors import UserError, run_command
 from napsp.presets import preset
-from napsp.progress import read_rows
-from napsp.record import save_figure
-from napsp.resume import STATE_FILE
-from planners.maze_map import draw_walls
+from napsp.storage.files import read_tensors
+from napsp.storage.progress import read_rows
+from napsp.storage.record import save_figure
+from napsp.storage.resume import STATE_FILE
+from planners.app.maze_map import draw_walls
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, learning_curves
 from benchmarks.command import read_options
-from benchmarks.sweep import HARDER_TASKS, PAPER_TASKS
 from napsp.config import METHODS
+from napsp.envs.cards import suite
 from napsp.errors import run_command
 from napsp.presets import preset
-from napsp.record import save_figure
 from napsp.statistics import interquartile_mean
+from napsp.storage.record import save_figure
 
 NAMED: dict[str, dict[str, Any]] = {"ours, first arrival": {"method": "ours", "first_arrival": True}}
 """Named options that go beyond the paper's method; shown where they were run."""
@@ -131,13 +131,13 @@ class CurveOptions:
 def main() -> int:
     """Draw the figures; name the cells that were not run."""
     read_options(CurveOptions, "curves")
-    for env in PAPER_TASKS:
+    for env in suite("paper"):
         missing = [method for method in METHODS if not current_runs(env).get(method)]
         if missing:
             print(f"{env}: not run: {', '.join(missing)}")
     columns = ("success_rate", "max_reward")
-    grid([(env, column) for column in columns for env in PAPER_TASKS], len(PAPER_TASKS), RESULTS / "figure3.png")
-    grid([(env, "success_rate") for env in HARDER_TASKS], len(HARDER_TASKS), RESULTS / "harder_tasks.png")
+    grid([(env, column) for column in columns for env in suite("paper")], len(suite("paper")), RESULTS / "figure3.png")
+    grid([(env, "success_rate") for env in suite("harder")], len(suite("harder")), RESULTS / "harder_tasks.png")
     rates = ("max_reward", "merging_rate", "relaxation_rate")
     grid([("fetch_pick_place", column) for column in rates], 3, RESULTS / "figure5.png")
     return 0

@@ -20,9 +20,10 @@ from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_r
 from benchmarks.command import read_options
 from benchmarks.maze_truth import MazeSearch
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision, load_model
 from napsp.errors import UserError, run_command
 from napsp.presets import preset
+from napsp.storage.checkpoint import load_model
+from napsp.storage.revision import git_revision
 
 METHODS = ("ddl", "offpolicy_ddl", "ours")
 SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "task_spearman")

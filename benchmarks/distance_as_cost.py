@@ -20,15 +20,16 @@ import torch
 from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision, load_model
-from napsp.episodes import evaluate
+from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
-from napsp.greedy import GreedyPolicy
+from napsp.policy.greedy import GreedyPolicy
 from napsp.presets import preset
 from napsp.statistics import describe, wilson_interval
-from planners.options import PlanOptions
-from planners.search_options import OPTIONS
-from planners.session import Session
+from napsp.storage.checkpoint import load_model
+from napsp.storage.revision import git_revision
+from planners.app.options import PlanOptions
+from planners.app.search_options import OPTIONS
+from planners.app.session import Session
 
 
 @dataclass(frozen=True)

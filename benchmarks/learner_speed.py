@@ -21,10 +21,11 @@ import torch
 from benchmarks.cells import report
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision, sizes_of
 from napsp.config import TrainConfig
 from napsp.errors import UserError, run_command
 from napsp.presets import preset
+from napsp.storage.checkpoint import sizes_of
+from napsp.storage.revision import git_revision
 from napsp.train import new_learner
 
 

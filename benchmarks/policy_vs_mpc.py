@@ -23,17 +23,18 @@ from benchmarks.curves import LINES, line_of
 from mpc.motion import action_rate
 from mpc.rollout import available_cores
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision, load_model
 from napsp.config import TrainConfig
-from napsp.episodes import evaluate
+from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
-from napsp.greedy import GreedyPolicy
+from napsp.policy.greedy import GreedyPolicy
 from napsp.presets import preset
-from napsp.record import save_figure
 from napsp.statistics import describe, paired_proportions, wilson_interval
-from planners.options import PlanOptions
-from planners.search_options import OPTIONS
-from planners.session import Session
+from napsp.storage.checkpoint import load_model
+from napsp.storage.record import save_figure
+from napsp.storage.revision import git_revision
+from planners.app.options import PlanOptions
+from planners.app.search_options import OPTIONS
+from planners.app.session import Session
 
 FILE = RESULTS / "policy_vs_mpc.csv"
 PLANNERS = ("mppi", "cem", "icem", "predictive_sampling")

@@ -10,8 +10,8 @@ from benchmarks import tables_planning as planning
 from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.command import read_options
-from napsp.checkpoint import write_atomically
 from napsp.errors import run_command
+from napsp.storage.files import write_atomically
 
 README = Path("README.md")
 START, END = "<!-- results:start -->", "<!-- results:end -->"

@@ -33,13 +33,13 @@ from mpc.controller import Plan
 from mpc.rollout import RolloutEngine, available_cores
 from mpc.speed import HELD, RawRollout
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import run_command
-from planners.search_options import OPTIONS
-from planners.session import Session
+from napsp.storage.revision import git_revision
+from planners.app.search_options import OPTIONS
+from planners.app.session import Session
 
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 FINGERS = ("robot0:r_gripper_finger_joint", "robot0:l_gripper_finger_joint")  # set back after each step

@@ -20,9 +20,9 @@ from benchmarks.cells import RESULTS, machine, replace_results
 from benchmarks.rollout_speed import clocked
 from napsp import envs as tasks
 from napsp.envs.dynamics import get_state
-from napsp.record import save_figure
-from planners.search_options import MPPIOptions
-from planners.session import Session
+from napsp.storage.record import save_figure
+from planners.app.search_options import MPPIOptions
+from planners.app.session import Session
 
 SAMPLES = tuple(2**k for k in range(4, 11))
 COLUMNS = ("env", "cost", "horizon", "samples")

@@ -19,13 +19,13 @@ import torch
 from benchmarks.cells import RESULTS, append_result, find, read_results, shipped_training
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.checkpoint import git_revision
 from napsp.errors import UserError, run_command
-from napsp.record import save_figure
 from napsp.statistics import describe, paired_difference, wilson_interval
-from planners.episode import EpisodeResult
-from planners.search_options import OPTIONS
-from planners.session import Session
+from napsp.storage.record import save_figure
+from napsp.storage.revision import git_revision
+from planners.app.episode import EpisodeResult
+from planners.app.search_options import OPTIONS
+from planners.app.session import Session
 
 PLAIN, SMOOTHED = "plain", "smoothed"
 VARIANTS: dict[str, dict[str, Any]] = {

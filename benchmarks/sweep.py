@@ -21,20 +21,16 @@ from benchmarks.cells import ROWS, BusyError, cell_name, published, trained
 from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.config import METHODS, TrainConfig
+from napsp.envs.cards import suite
 from napsp.errors import UserError, run_command
 from napsp.presets import preset
-
-PAPER_TASKS = ("point_maze", "fetch_reach", "fetch_wall", "fetch_pick_place", "fetch_pick_place_wall", "claw")
-
-HARDER_TASKS = ("point_maze_long", "fetch_wall_high")
-"""Not in the paper: a maze four times as large, and a wall twice as high, as Sparse + HER crosses the other one."""
 
 
 @dataclass(frozen=True)
 class SweepOptions:
     """Train every cell of envs x methods x seeds whose curve is not in results/runs yet."""
 
-    envs: tuple[str, ...] = PAPER_TASKS
+    envs: tuple[str, ...] = suite("paper")
     """Tasks."""
     methods: tuple[str, ...] = METHODS
     """Methods."""

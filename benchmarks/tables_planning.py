@@ -6,7 +6,7 @@ from collections import defaultdict
 
 from benchmarks import distance_as_cost, policy_vs_mpc, smoothing
 from benchmarks.cells import RESULTS, read_results, shipped_training
-from benchmarks.sweep import PAPER_TASKS
+from napsp.envs.cards import suite
 from napsp.statistics import describe, paired_proportions, wilson_interval
 
 HALF_TRAINED = RESULTS / "policy_vs_mpc_point_maze.png"
@@ -26,7 +26,7 @@ def glance_table() -> list[str]:
         "| task | training episodes | straight line | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    lines += [f"| {env} | {' | '.join(_glance(env))} |" for env in PAPER_TASKS]
+    lines += [f"| {env} | {' | '.join(_glance(env))} |" for env in suite("paper")]
     if HALF_TRAINED.is_file():
         lines += [
             "",
@@ -69,7 +69,7 @@ def _success(row: dict[str, str]) -> str:
 
 def _by_task(env: str) -> tuple[int, str]:
     """Sorting key: the paper's tasks in its order, then others."""
-    return PAPER_TASKS.index(env) if env in PAPER_TASKS else len(PAPER_TASKS), env
+    return suite("paper").index(env) if env in suite("paper") else len(suite("paper")), env
 
 
 def cost_table() -> list[str]:

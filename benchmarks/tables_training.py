@@ -12,11 +12,11 @@ from benchmarks.cells import RESULTS, read_results
 from benchmarks.coverage import CoverageOptions
 from benchmarks.curves import LINES, MORE_UPDATES, current_runs
 from benchmarks.distance_accuracy import AccuracyOptions
-from benchmarks.sweep import HARDER_TASKS, PAPER_TASKS
 from napsp.config import METHODS, from_dict
+from napsp.envs.cards import suite
 from napsp.presets import preset
-from napsp.record import command_line
 from napsp.statistics import describe, interquartile_mean
+from napsp.storage.record import command_line
 
 
 def _current(name: str, **sizes: int) -> list[dict[str, str]]:
@@ -63,7 +63,7 @@ def learning_table() -> list[str]:
         "| task | method | seeds | episodes | success | some-step success | maximum reward [m] | 0.5 first at episode | 0.9 | 1.0 |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for env in (*PAPER_TASKS, *HARDER_TASKS):
+    for env in (*suite("paper"), *suite("harder")):
         runs = current_runs(env)
         for method, options in {**LINES, **MORE_UPDATES}.items():
             if method not in METHODS and not runs.get(method):

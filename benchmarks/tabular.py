@@ -1,7 +1,7 @@
 """The paper's losses where the truth is known: a grid world with exact counts against Floyd-Warshall.
 
 ``python -m benchmarks.tabular`` learns d(s, a, g) in a table with eq. 4a and 4b - the very label
-functions of ``napsp.losses`` - and compares it with scipy's all-pairs shortest paths.
+functions of ``napsp.distance.labels`` - and compares it with scipy's all-pairs shortest paths.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from scipy.stats import spearmanr
 from torch import Tensor
 
 from benchmarks.command import read_options
-from napsp.buffer import EpisodeBuffer, Episodes, sample_pairs, sample_triples
-from napsp.counts import uncertainty
+from napsp.data.buffer import EpisodeBuffer, sample_pairs, sample_triples
+from napsp.data.episodes import Episodes
+from napsp.distance.counts import uncertainty
+from napsp.distance.labels import hypotenuse, temporal_label
 from napsp.errors import run_command
-from napsp.losses import hypotenuse, temporal_label
 
 WALLS = """
 . . # . .

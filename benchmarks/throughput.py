@@ -36,8 +36,8 @@ from mpc.speed import RawRollout
 from napsp import envs as tasks
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError, run_command
-from planners.search_options import MPPIOptions
-from planners.session import Session
+from planners.app.search_options import MPPIOptions
+from planners.app.session import Session
 
 RAW, OURS = "raw", "napsp"
 COLUMNS = ("env", "planner", "samples", "horizon")

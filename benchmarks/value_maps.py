@@ -17,14 +17,15 @@ from benchmarks.cells import RESULTS, trained
 from benchmarks.command import read_options
 from mpc.cost import LearnedSteps
 from napsp import envs as tasks
-from napsp.checkpoint import load_model, read_tensors
 from napsp.config import METHODS
 from napsp.errors import UserError, run_command
-from napsp.networks import Critic
+from napsp.policy.critic import Critic
 from napsp.presets import preset
-from napsp.record import save_figure
-from napsp.resume import STATE_FILE
-from planners.maze_map import BINS, at_rest, draw_field, steps_field
+from napsp.storage.checkpoint import load_model
+from napsp.storage.files import read_tensors
+from napsp.storage.record import save_figure
+from napsp.storage.resume import STATE_FILE
+from planners.app.maze_map import BINS, at_rest, draw_field, steps_field
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ class Smoothed:
 
 
 class Smoother(Protocol):
-    """Smooths the chosen plan; see :class:`mpc.smoothing.Smoother`."""
+    """Smooths the chosen plan; see :class:`mpc.smoothing.layer.Smoother`."""
 
     def reset(self) -> None:
         """A new episode begins."""

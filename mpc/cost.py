@@ -16,8 +16,8 @@ import numpy as np
 import torch
 
 from mpc.rollout import Trajectories
-from napsp.checkpoint import Model
-from napsp.counts import uncertainty
+from napsp.distance.counts import uncertainty
+from napsp.storage.checkpoint import Model
 
 Where = Literal["terminal", "mean", "both"]
 ActionOf = Literal["policy", "plan"]

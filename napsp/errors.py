@@ -62,6 +62,15 @@ def load_object(name: str) -> Any:
 def describe_failure(error: Exception) -> str:
     """Kind and words of an error in the user's own code, and the line it comes from, if that is the user's."""
     place = traceback.extract_tb(error.__traceback__)[-1]
-    if Path(place.filename).parent.parent.name in ("napsp", "planners") or Path(place.filename).name == "estimates.py":
+    if is_ours(place.filename):
         return f"{type(error).__name__}: {error}"
     return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
+
+
+def is_ours(filename: str) -> bool:
+    """Whether a source file belongs to this package: by where it lies, not by what its folders are called."""
+    here = Path(__file__).resolve().parents[1]  # the checkout, or site-packages
+    return any(Path(filename).resolve().is_relative_to(here / package) for package in PACKAGES)
+
+
+PACKAGES = ("napsp", "mpc", "planners", "benchmarks")

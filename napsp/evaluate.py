@@ -11,11 +11,12 @@ import torch
 import tyro
 
 from napsp import envs as tasks
-from napsp.checkpoint import load_model, shipped_model, write_json
-from napsp.episodes import evaluate
+from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
-from napsp.greedy import GreedyPolicy
+from napsp.policy.greedy import GreedyPolicy
 from napsp.statistics import describe, wilson_interval
+from napsp.storage.checkpoint import load_model, shipped_model
+from napsp.storage.files import write_json
 
 
 @dataclass(frozen=True)

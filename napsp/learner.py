@@ -6,24 +6,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from napsp.agent import Agent, PolicyBatch
 from napsp.backprop import Adam
-from napsp.buffer import (
-    EpisodeBuffer,
-    Episodes,
-    SparseReward,
-    concatenate,
-    sample_pairs,
-    sample_relabelled,
-    sample_triples,
-)
 from napsp.config import TrainConfig
-from napsp.counts import CountModel, uncertainty
-from napsp.ddpg import DDPG
-from napsp.losses import hypotenuse, temporal_label
+from napsp.data.buffer import EpisodeBuffer, sample_pairs, sample_triples
+from napsp.data.episodes import Episodes, SparseReward, concatenate
+from napsp.distance.counts import CountModel, uncertainty
+from napsp.distance.labels import hypotenuse, temporal_label
+from napsp.distance.regression import DistanceRegression
 from napsp.networks import rescale
-from napsp.regression import DistanceRegression
-from napsp.sac import SAC
+from napsp.policy.agent import Agent, PolicyBatch
+from napsp.policy.ddpg import DDPG
+from napsp.policy.her import sample_relabelled
+from napsp.policy.sac import SAC
 from napsp.scaling import Scaling
 
 AGENTS: dict[str, type[SAC] | type[DDPG]] = {"sac": SAC, "ddpg": DDPG}

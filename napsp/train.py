@@ -15,17 +15,19 @@ import torch
 import tyro
 
 from napsp import envs as tasks
-from napsp.buffer import Episodes, concatenate
-from napsp.checkpoint import MODEL_FILE, git_revision, save_model, sizes_of
 from napsp.config import TrainConfig
-from napsp.episodes import ExploringActor, evaluate, roll
+from napsp.data.collect import ExploringActor, roll
+from napsp.data.episodes import Episodes, concatenate
+from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
-from napsp.greedy import GreedyPolicy
 from napsp.learner import Learner
+from napsp.policy.greedy import GreedyPolicy
 from napsp.presets import preset
-from napsp.progress import Progress, Row, read_rows
-from napsp.record import RECORD_FILE, write_record
-from napsp.resume import STATE_FILE, read_training, restore_training, save_training, warmup_episodes
+from napsp.storage.checkpoint import MODEL_FILE, save_model, sizes_of
+from napsp.storage.progress import Progress, Row, read_rows
+from napsp.storage.record import RECORD_FILE, write_record
+from napsp.storage.resume import STATE_FILE, read_training, restore_training, save_training, warmup_episodes
+from napsp.storage.revision import git_revision
 
 EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
 

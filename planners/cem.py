@@ -78,6 +78,6 @@ class CEM:
 
 
 if __name__ == "__main__":
-    from planners.cli import main
+    from planners.app.cli import main
 
     main("cem")

@@ -113,6 +113,6 @@ class ICEM:
 
 
 if __name__ == "__main__":
-    from planners.cli import main
+    from planners.app.cli import main
 
     main("icem")

@@ -107,6 +107,6 @@ def softmin(costs: np.ndarray, temperature: float) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    from planners.cli import main
+    from planners.app.cli import main
 
     main("mppi")

@@ -62,6 +62,6 @@ class PredictiveSampling:
 
 
 if __name__ == "__main__":
-    from planners.cli import main
+    from planners.app.cli import main
 
     main("predictive_sampling")

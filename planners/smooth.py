@@ -32,6 +32,6 @@ class Held(PredictiveSampling):
 
 
 if __name__ == "__main__":
-    from planners.cli import main
+    from planners.app.cli import main
 
     main("smooth")

@@ -3,7 +3,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from planners.gl import choose_gl
+from planners.app.gl import choose_gl
 
 choose_gl()  # before mujoco is imported anywhere
 

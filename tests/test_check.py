@@ -9,10 +9,10 @@ import pytest
 from gymnasium import spaces
 
 from napsp import envs
+from napsp.data.collect import roll
 from napsp.envs.check import check_finite, check_task
 from napsp.envs.open_loop import OpenLoopEnv
 from napsp.envs.point_maze import PointMazeEnv
-from napsp.episodes import roll
 from napsp.errors import UserError
 
 

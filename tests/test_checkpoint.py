@@ -5,19 +5,13 @@ import os
 import pytest
 import torch
 
-from napsp.checkpoint import (
-    MODEL_FILE,
-    load_model,
-    read_tensors,
-    save_model,
-    write_atomically,
-    write_json,
-    write_tensors,
-)
+from napsp.distance.network import DistanceNetwork
 from napsp.errors import UserError
-from napsp.networks import DistanceNetwork, GaussianPolicy
+from napsp.policy.actors import GaussianPolicy
 from napsp.presets import preset
-from napsp.progress import read_rows
+from napsp.storage.checkpoint import MODEL_FILE, load_model, save_model
+from napsp.storage.files import read_tensors, write_atomically, write_json, write_tensors
+from napsp.storage.progress import read_rows
 
 
 @pytest.fixture

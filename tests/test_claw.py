@@ -11,7 +11,7 @@ from mpc.rollout import RolloutEngine
 from napsp import envs
 from napsp.envs.claw import ClawEnv, direction
 from napsp.envs.dynamics import get_state
-from planners.cli import run
+from planners.app.cli import run
 
 FINGERS = ("f1", "f2", "f3")
 

@@ -13,16 +13,16 @@ from mpc.controller import Controller
 from mpc.cost import Cost, EuclideanSteps
 from mpc.rollout import RolloutEngine
 from napsp import envs
-from napsp.checkpoint import load_model, shipped_model
+from napsp.envs.cards import CARDS
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import get_state
 from napsp.envs.fetch_arm import GRIPPER_BODIES, LOWER_ARM_BODIES
 from napsp.errors import UserError
-from napsp.greedy import GreedyPolicy
-from planners.cli import run
-from planners.defaults import PLANNING_SUBSTEPS
+from napsp.policy.greedy import GreedyPolicy
+from napsp.storage.checkpoint import load_model, shipped_model
+from planners.app.cli import run
+from planners.app.search_options import MPPIOptions
 from planners.mppi import MPPI
-from planners.search_options import MPPIOptions
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -60,7 +60,7 @@ def test_a_control_step_lasts_as_long_and_velocities_keep_their_units(name, worl
 @pytest.mark.parametrize("name", ["fetch_wall", "fetch_pick_place_wall"])
 def test_the_wall_stops_the_gripper_in_the_coarse_model(name, worlds):
     world = worlds[name]
-    planned = coarse(world.dynamics, PLANNING_SUBSTEPS[name])
+    planned = coarse(world.dynamics, CARDS[name].planning.coarse_substeps)
     rng = np.random.default_rng(0)
     world.reset(seed=0)
     pushes = np.zeros((5, 60, 4), np.float32)

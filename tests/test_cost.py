@@ -10,8 +10,8 @@ from mpc.controller import Controller
 from mpc.cost import Cost, EuclideanSteps, GivenSteps, NoSteps
 from mpc.rollout import RolloutEngine, Trajectories
 from napsp.envs.dynamics import get_state
-from napsp.greedy import GreedyPolicy
-from napsp.networks import GaussianPolicy
+from napsp.policy.actors import GaussianPolicy
+from napsp.policy.greedy import GreedyPolicy
 from planners.mppi import MPPI
 
 GOAL = np.array([0.0])

@@ -7,16 +7,17 @@ import pytest
 import torch
 from torch._dynamo.utils import counters
 
-from napsp.agent import PolicyBatch
 from napsp.backprop import Adam, Backprop, flatten
 from napsp.compiled import cpp_compiler
-from napsp.ddpg import DDPG
+from napsp.distance.labels import squared_error
+from napsp.distance.regression import DistanceRegression
 from napsp.errors import UserError
-from napsp.losses import squared_error
-from napsp.networks import Policy, mlp, rescale
+from napsp.networks import mlp, rescale
+from napsp.policy.actors import Policy
+from napsp.policy.agent import PolicyBatch
+from napsp.policy.ddpg import DDPG
+from napsp.policy.sac import SAC, squash
 from napsp.presets import preset
-from napsp.regression import DistanceRegression
-from napsp.sac import SAC, squash
 from napsp.scaling import Scaling
 
 SIZES = (5, 2, 3)

@@ -5,11 +5,11 @@ import itertools
 import numpy as np
 import torch
 
-from napsp.checkpoint import load_model, shipped_model
-from napsp.greedy_distance import GreedyDistance
-from napsp.networks import DistanceNetwork
-from planners.search_options import OPTIONS
-from planners.session import Session
+from napsp.distance.network import DistanceNetwork
+from napsp.policy.greedy_distance import GreedyDistance
+from napsp.storage.checkpoint import load_model, shipped_model
+from planners.app.search_options import OPTIONS
+from planners.app.session import Session
 
 
 class Bowl(DistanceNetwork):

@@ -11,8 +11,8 @@ from mpc.rollout import RolloutEngine
 from napsp.envs.coarse import coarse
 from napsp.envs.fetch import FetchReachWallEnv
 from napsp.envs.lean import lean, refresh
-from planners.search_options import MPPIOptions
-from planners.session import Session
+from planners.app.search_options import MPPIOptions
+from planners.app.session import Session
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -5,12 +5,15 @@ import pytest
 import torch
 
 from benchmarks.tabular import GridWorld, TabularDistance, learn, spearman_against_truth
-from napsp.buffer import Episodes, sample_pairs, sample_relabelled, sample_triples
-from napsp.counts import CountModel, HashedCounts, uncertainty
-from napsp.losses import hypotenuse, temporal_label
-from napsp.networks import DistanceNetwork, GaussianPolicy, squash
+from napsp.data.buffer import sample_pairs, sample_triples
+from napsp.data.episodes import Episodes
+from napsp.distance.counts import CountModel, HashedCounts, uncertainty
+from napsp.distance.labels import hypotenuse, temporal_label
+from napsp.distance.network import DistanceNetwork
+from napsp.distance.regression import DistanceRegression
+from napsp.policy.actors import GaussianPolicy, squash
+from napsp.policy.her import sample_relabelled
 from napsp.presets import preset
-from napsp.regression import DistanceRegression
 from napsp.scaling import Scaling
 
 

@@ -8,13 +8,14 @@ import torch
 from test_train import tiny
 
 from mpc.cost import LearnedSteps
-from napsp.checkpoint import MODEL_FILE, load_model, read_tensors, shipped_model, write_tensors
-from napsp.counts import uncertainty
+from napsp.distance.counts import uncertainty
 from napsp.errors import UserError
-from napsp.resume import STATE_FILE
+from napsp.storage.checkpoint import MODEL_FILE, load_model, shipped_model
+from napsp.storage.files import read_tensors, write_tensors
+from napsp.storage.resume import STATE_FILE
 from napsp.train import train
-from planners.cli import run
-from planners.search_options import MPPIOptions
+from planners.app.cli import run
+from planners.app.search_options import MPPIOptions
 
 GOAL = np.array([0.5, 0.5])
 

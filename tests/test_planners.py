@@ -17,13 +17,13 @@ from mpc.knots import interpolation_matrix, shift_matrix
 from mpc.rollout import RolloutEngine
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError
+from planners.app.search_options import OPTIONS, MPPIOptions
+from planners.app.session import Session, make_planner
 from planners.cem import CEM
 from planners.icem import ICEM
 from planners.mppi import MPPI, softmin
 from planners.predictive_sampling import PredictiveSampling
 from planners.sampling import best_plans, coloured_noise, correlated_noise
-from planners.search_options import OPTIONS, MPPIOptions
-from planners.session import Session, make_planner
 from planners.smooth import Held
 
 ALL = [MPPI, CEM, ICEM, PredictiveSampling]
@@ -327,7 +327,7 @@ def test_planning_and_environment_draw_from_different_streams(monkeypatch):
     session = Session.open("mppi", MPPIOptions(env="point_maze", cost="euclidean", threads=1, samples=4))
     monkeypatch.setattr("napsp.envs.episode_length", lambda name: 0)
     monkeypatch.setattr(session.controller, "reset", lambda rng: drawn.append(rng.random(4)))
-    monkeypatch.setattr("planners.session.EpisodeResult", lambda *parts: None)
+    monkeypatch.setattr("planners.app.session.EpisodeResult", lambda *parts: None)
     session.run_episode(7)
     session.close()
     assert not np.array_equal(drawn[0], np.random.default_rng(7).random(4))

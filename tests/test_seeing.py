@@ -16,12 +16,12 @@ from mpc.cost import EuclideanSteps
 from mpc.rollout import Trajectories
 from napsp import envs
 from napsp.envs.open_loop import OpenLoopEnv
-from planners.cli import run
-from planners.maze_map import steps_field
-from planners.options import PlanOptions
-from planners.search_options import MPPIOptions, PredictiveSamplingOptions
-from planners.session import Session
-from planners.video import Video
+from planners.app.cli import run
+from planners.app.maze_map import steps_field
+from planners.app.options import PlanOptions
+from planners.app.search_options import MPPIOptions, PredictiveSamplingOptions
+from planners.app.session import Session
+from planners.app.video import Video
 
 SMALL = ("--env", "point_maze", "--samples", "8", "--horizon", "4", "--no-video", "--threads", "1")
 PNG = b"\x89PNG"

@@ -15,13 +15,13 @@ from mpc.cost import Cost, LearnedSteps
 from mpc.filters import LowPass
 from mpc.motion import action_rate, jerk
 from mpc.rollout import RolloutEngine
-from mpc.smoothing import Smoother, SmoothingConfig
-from mpc.smoothing_distance import SmoothDistance
-from mpc.smoothing_problem import SOLVERS, Problem, Roughness, SolverError
+from mpc.smoothing.distance import SmoothDistance
+from mpc.smoothing.layer import Smoother, SmoothingConfig
+from mpc.smoothing.problem import SOLVERS, Problem, Roughness, SolverError
 from napsp.envs.dynamics import get_state
+from planners.app.search_options import ICEMOptions, MPPIOptions, SmoothOptions
+from planners.app.session import Session
 from planners.mppi import MPPI
-from planners.search_options import ICEMOptions, MPPIOptions, SmoothOptions
-from planners.session import Session
 from planners.smooth import Held
 
 
@@ -260,7 +260,7 @@ def test_figures_of_smoothness():
 def test_icem_is_compared_with_as_many_raw_plans_as_it_tries(monkeypatch):
     session = Session.open("icem", ICEMOptions(env="point_maze", proposals=False))
     counted = []
-    monkeypatch.setattr("planners.session.raw_speed_fraction", lambda *arguments: counted.append(arguments[3]))
+    monkeypatch.setattr("planners.app.session.raw_speed_fraction", lambda *arguments: counted.append(arguments[3]))
     monkeypatch.setattr("napsp.envs.episode_length", lambda name: 1)
     session.run_episode(seed=0)
     session.raw_speed_fraction()
@@ -287,7 +287,7 @@ def test_an_episode_is_the_same_alone_and_in_a_series(options, monkeypatch):
 
 
 def test_planning_without_smoothing_imports_no_casadi():
-    code = "import sys, planners.session, planners.report, planners.smooth; assert 'casadi' not in sys.modules"
+    code = "import sys, planners.app.session, planners.app.report, planners.smooth; assert 'casadi' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -297,7 +297,7 @@ def test_planning_without_smoothing_imports_no_casadi():
 def test_smoothing_alone_counts_the_plans_that_it_tries(changes, plans, monkeypatch):
     session = Session.open("smooth", SmoothOptions(env="point_maze", **changes))
     counted = []
-    monkeypatch.setattr("planners.session.raw_speed_fraction", lambda *arguments: counted.append(arguments[3]))
+    monkeypatch.setattr("planners.app.session.raw_speed_fraction", lambda *arguments: counted.append(arguments[3]))
     monkeypatch.setattr("napsp.envs.episode_length", lambda name: 1)
     session.run_episode(seed=0)
     session.raw_speed_fraction()

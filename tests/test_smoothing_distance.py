@@ -8,10 +8,11 @@ import pytest
 import torch
 from torch.func import jacrev, vmap
 
-from mpc.smoothing_distance import SmoothDistance
-from napsp.checkpoint import Model, load_model, shipped_model
-from napsp.networks import DistanceNetwork, GaussianPolicy
+from mpc.smoothing.distance import SmoothDistance
+from napsp.distance.network import DistanceNetwork
+from napsp.policy.actors import GaussianPolicy
 from napsp.presets import preset
+from napsp.storage.checkpoint import Model, load_model, shipped_model
 
 SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mpc.rollout import RolloutEngine
-from mpc.smoothing_linearise import linearise
+from mpc.smoothing.linearise import linearise
 from napsp.envs.dynamics import get_state
 
 

@@ -14,15 +14,12 @@ import numpy as np
 import pytest
 import torch
 
-from napsp.checkpoint import (
-    load_model,
-    read_tensors,
-    write_tensors,
-)
 from napsp.config import ADDED, METHODS, RANGES, TrainConfig, from_dict
 from napsp.errors import UserError
 from napsp.presets import preset
-from napsp.resume import STATE_FILE, read_training
+from napsp.storage.checkpoint import load_model
+from napsp.storage.files import read_tensors, write_tensors
+from napsp.storage.resume import STATE_FILE, read_training
 from napsp.train import parse, train
 
 TINY = {

@@ -13,51 +13,11 @@ farama_notifications.notifications.pop("gymnasium_robotics", None)
 
 import gymnasium  # noqa: E402
 
+from napsp.envs.cards import CARDS  # noqa: E402
 from napsp.errors import UserError, load_object  # noqa: E402
 
-TASKS: dict[str, tuple[str, str, dict, int]] = {
-    # name: (Gymnasium id, entry point, keyword arguments, episode length in control steps)
-    "point_maze": ("napsp/PointMaze-v0", "napsp.envs.point_maze:PointMazeEnv", {}, 50),
-    "point_maze_long": ("napsp/PointMazeLong-v0", "napsp.envs.point_maze:PointMazeEnv", {"scale": 4.0}, 200),
-    "fetch_reach": ("napsp/FetchReach-v0", "napsp.envs.fetch:FetchReachEnv", {}, 50),
-    "fetch_wall": ("napsp/FetchReachWall-v0", "napsp.envs.fetch:FetchReachWallEnv", {}, 50),
-    "fetch_wall_high": (
-        "napsp/FetchReachWallHigh-v0",
-        "napsp.envs.fetch:FetchReachWallEnv",
-        {"wall_height": 0.4},
-        50,
-    ),
-    "fetch_pick_place": ("napsp/FetchPickPlace-v0", "napsp.envs.fetch_pick_place:FetchPickPlaceEnv", {}, 50),
-    "fetch_pick_place_wall": (
-        "napsp/FetchPickPlaceWall-v0",
-        "napsp.envs.fetch_pick_place:FetchPickPlaceWallEnv",
-        {},
-        50,
-    ),
-    "claw": ("napsp/Claw-v0", "napsp.envs.claw:ClawEnv", {}, 40),
-    # Pick and place with the box's position alone as the goal, as in stock Fetch.
-    "fetch_pick_place_plain": (
-        "napsp/FetchPickPlacePlain-v0",
-        "napsp.envs.fetch_pick_place:FetchPickPlaceEnv",
-        {"augmented_goal": False},
-        50,
-    ),
-    "fetch_pick_place_wall_plain": (
-        "napsp/FetchPickPlaceWallPlain-v0",
-        "napsp.envs.fetch_pick_place:FetchPickPlaceWallEnv",
-        {"augmented_goal": False},
-        50,
-    ),
-}
-ALIASES = {
-    "fetch_reach_wall": "fetch_wall",
-    "fetch_pick_and_place": "fetch_pick_place",
-    "fetch_pick_and_place_wall": "fetch_pick_place_wall",
-    "pick_place_wall": "fetch_pick_place_wall",
-}
-
-
 DEFAULT_EPISODE_LENGTH = 50  # of a class given as module:Class that names none
+NAMES = {name: task for task, card in CARDS.items() for name in (card.gym_id, *card.aliases)}
 STOCK_WORDS = ("Fetch", "Hand", "Maze")  # ids with one of them are gymnasium-robotics'
 
 
@@ -69,9 +29,8 @@ def canonical_name(name: str) -> str:
     Raises:
         UserError: the name is unknown; the message lists the known ones.
     """
-    by_id = {task[0]: short for short, task in TASKS.items()}
-    name = ALIASES.get(name, by_id.get(name, name))
-    if name in TASKS:
+    name = NAMES.get(name, name)
+    if name in CARDS:
         return name
     if ":" in name:
         load_object(name)
@@ -82,7 +41,7 @@ def canonical_name(name: str) -> str:
         gymnasium.register_envs(gymnasium_robotics)
     if name in gymnasium.registry:
         return name
-    known = ", ".join([*TASKS, *ALIASES])
+    known = ", ".join([*CARDS, *(alias for card in CARDS.values() for alias in card.aliases)])
     raise UserError(
         f"unknown environment {name!r}; choose one of: {known}, a registered Gymnasium id, or your own module:Class"
     )
@@ -95,8 +54,8 @@ def episode_length(name: str) -> int:
         UserError: the task has no time limit.
     """
     name = canonical_name(name)
-    if name in TASKS:
-        return TASKS[name][3]
+    if name in CARDS:
+        return CARDS[name].episode_length
     if ":" in name:
         steps = getattr(load_object(name), "max_episode_steps", DEFAULT_EPISODE_LENGTH)
         number = float(steps) if isinstance(steps, Real) else 0.0
@@ -116,8 +75,8 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
         UserError: unknown, or an environment that cannot be planned in.
     """
     name = canonical_name(name)
-    if name in TASKS:
-        return gymnasium.make(TASKS[name][0], **kwargs)
+    if name in CARDS:
+        return gymnasium.make(CARDS[name].gym_id, **kwargs)
     load = load_object(name) if ":" in name else partial(gymnasium.make, name)
     try:
         env: Any = load(**kwargs)
@@ -166,9 +125,11 @@ def file_name(name: str) -> str:
 
 def register_all() -> None:
     """Register every task with Gymnasium (done once, on import)."""
-    for gym_id, entry_point, kwargs, steps in TASKS.values():
-        if gym_id not in gymnasium.registry:
-            gymnasium.register(gym_id, entry_point=entry_point, kwargs=kwargs, max_episode_steps=steps)
+    for card in CARDS.values():
+        if card.gym_id not in gymnasium.registry:
+            gymnasium.register(
+                card.gym_id, card.entry_point, max_episode_steps=card.episode_length, kwargs=dict(card.kwargs)
+            )
 
 
 register_all()

@@ -1,0 +1,1 @@
+"""The CasADi layer: smoother plans that still minimise the learned distance."""

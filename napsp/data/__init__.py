@@ -1,0 +1,1 @@
+"""Episodes: collecting, keeping and sampling them."""

@@ -1,0 +1,117 @@
+"""Episodes, the replay buffer D, and everything that is sampled from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from napsp.data.episodes import FIELDS, Episodes, SparseReward
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """(s_i, a_i, phi(s_j)) of one episode with j > i; B rows (Algorithm 1, lines 6-7)."""
+
+    observations: np.ndarray
+    actions: np.ndarray
+    goals: np.ndarray
+    steps_between: np.ndarray
+
+
+@dataclass(frozen=True)
+class Triples:
+    """(s_i, a_i) and s_g from D_last, waypoint (s_j, a_j) from D (Algorithm 1, lines 11-12)."""
+
+    observations: np.ndarray
+    actions: np.ndarray
+    goals: np.ndarray
+    waypoints: np.ndarray
+    waypoint_actions: np.ndarray
+    waypoint_goals: np.ndarray
+
+
+class EpisodeBuffer:
+    """D: all episodes so far, in arrays that grow by doubling."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, np.ndarray] = {}
+        self._size = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    def extend(self, episodes: Episodes) -> None:
+        """D <- D + D_last (Algorithm 1, line 22)."""
+        end = self._size + len(episodes)
+        for name in FIELDS:
+            new = getattr(episodes, name)
+            stored = self._arrays.get(name)
+            if stored is None or end > len(stored):
+                grown = np.empty((max(end, 2 * self._size, 64), *new.shape[1:]), np.float32)
+                if stored is not None:
+                    grown[: self._size] = stored[: self._size]
+                self._arrays[name] = stored = grown
+            stored[self._size : end] = new
+        self._size = end
+
+    def episodes(self, last: int | None = None) -> Episodes:
+        """All stored episodes, or the ``last`` most recent ones (views, not copies)."""
+        start = 0 if last is None else max(0, self._size - last)
+        return Episodes(**{name: self._arrays[name][start : self._size] for name in FIELDS})
+
+
+def sample_pairs(
+    episodes: Episodes, n: int, rng: np.random.Generator, sparse_reward: SparseReward | None = None
+) -> Pairs:
+    """Draw n pairs i < j, uniform over episodes and over the pairs of an episode.
+
+    With ``sparse_reward`` the steps between them end where it first finds the goal phi(s_j) reached.
+    """
+    horizon = episodes.actions.shape[1]
+    episode = rng.integers(len(episodes), size=n)
+    first = rng.integers(horizon + 1, size=n)
+    second = rng.integers(horizon, size=n)
+    second += second >= first  # a uniform ordered pair without equal indices
+    i, j = np.minimum(first, second), np.maximum(first, second)
+    goals = episodes.achieved_goals[episode, j]
+    arrival = j if sparse_reward is None else _first_arrivals(episodes, episode, i, j, goals, sparse_reward)
+    return Pairs(
+        observations=episodes.observations[episode, i],
+        actions=episodes.actions[episode, i],
+        goals=goals,
+        steps_between=(arrival - i).astype(np.float32),
+    )
+
+
+def _first_arrivals(
+    episodes: Episodes,
+    episode: np.ndarray,
+    i: np.ndarray,
+    j: np.ndarray,
+    goals: np.ndarray,
+    sparse_reward: SparseReward,
+) -> np.ndarray:
+    """The first step ``(n,)`` after i, and at most j, at which the goal is reached."""
+    arrival, open_ = i.copy(), np.arange(len(i))
+    while len(open_):
+        arrival[open_] += 1
+        achieved = episodes.achieved_goals[episode[open_], arrival[open_]]
+        missed = sparse_reward(achieved, goals[open_]) < 0
+        open_ = open_[missed & (arrival[open_] < j[open_])]
+    return arrival
+
+
+def sample_triples(recent: Episodes, everything: Episodes, n: int, rng: np.random.Generator) -> Triples:
+    """Draw n triples: s_i and its episode's desired goal from D_last, s_j from D."""
+    horizon = recent.actions.shape[1]
+    episode, i = rng.integers(len(recent), size=n), rng.integers(horizon, size=n)
+    other, j = rng.integers(len(everything), size=n), rng.integers(horizon, size=n)
+    return Triples(
+        observations=recent.observations[episode, i],
+        actions=recent.actions[episode, i],
+        goals=recent.desired_goals[episode],
+        waypoints=everything.observations[other, j],
+        waypoint_actions=everything.actions[other, j],
+        waypoint_goals=everything.achieved_goals[other, j],
+    )

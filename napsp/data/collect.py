@@ -1,0 +1,93 @@
+"""Collecting and evaluating episodes: the only code that steps environments for learning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+
+from napsp.data.episodes import Episodes
+from napsp.envs.check import check_finite
+from napsp.policy.actors import Policy
+
+Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Maps observations ``(E, O)`` and goals ``(E, G)`` to actions ``(E, A)`` in [-1, 1]."""
+
+
+def roll(
+    envs: list[gymnasium.Env],
+    actor: Actor,
+    seeds: list[int],
+    horizon: int,
+    options: Sequence[dict[str, Any] | None] | None = None,
+) -> Episodes:
+    """Run one episode of ``horizon`` steps in each environment, in lockstep; ``options`` are its reset's.
+
+    Raises:
+        UserError: an environment observed numbers that are not finite.
+    """
+    resets = zip(envs, seeds, options or [None] * len(envs), strict=True)
+    starts = [env.reset(seed=seed, options=chosen)[0] for env, seed, chosen in resets]
+    n, spaces = len(envs), envs[0].observation_space.spaces  # type: ignore[attr-defined]
+    observations = np.empty((n, horizon + 1, *spaces["observation"].shape), np.float32)
+    achieved = np.empty((n, horizon + 1, *spaces["achieved_goal"].shape), np.float32)
+    goals = np.stack([start["desired_goal"] for start in starts]).astype(np.float32)
+    actions = np.empty((n, horizon, *envs[0].action_space.shape), np.float32)  # type: ignore[misc]
+    current = starts
+    for t in range(horizon + 1):
+        for e, values in enumerate(current):
+            observations[e, t] = values["observation"]
+            achieved[e, t] = values["achieved_goal"]
+        if t == horizon:
+            break
+        actions[:, t] = actor(observations[:, t], goals)
+        current = [env.step(actions[e, t])[0] for e, env in enumerate(envs)]
+    seen = {"observation": observations, "achieved_goal": achieved, "desired_goal": goals}
+    check_finite(seen, type(envs[0].unwrapped).__name__)
+    return Episodes(observations, achieved, actions, goals)
+
+
+class ExploringActor:
+    """A policy whose actions are now and then replaced by random ones, held for a while.
+
+    With ``hold=1`` this is epsilon exploration: each step is random with chance ``epsilon``.
+    With longer holds a random action *starts* with that chance. ``policy=None`` acts at
+    random all the time, held in the same way.
+    """
+
+    def __init__(
+        self,
+        policy: Policy | None,
+        action_size: int,
+        epsilon: float,
+        hold: int,
+        rng: np.random.Generator,
+        generator: torch.Generator,
+    ) -> None:
+        self._policy, self._action_size = policy, action_size
+        self._epsilon, self._hold = epsilon, hold
+        self._rng, self._generator = rng, generator
+        self._random = np.empty(0)
+        self._steps_left = np.zeros(0, np.int64)
+
+    def __call__(self, observations: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """Actions ``(E, A)``."""
+        n = len(observations)
+        if len(self._steps_left) != n:
+            self._steps_left = np.zeros(n, np.int64)
+            self._random = np.zeros((n, self._action_size), np.float32)
+        chance = 1.0 if self._policy is None else self._epsilon
+        start = (self._steps_left == 0) & (self._rng.random(n) < chance)
+        self._steps_left[start] = self._rng.integers(1, self._hold + 1, start.sum())
+        self._random[start] = self._rng.uniform(-1.0, 1.0, (start.sum(), self._action_size))
+        random = self._steps_left > 0
+        self._steps_left[random] -= 1
+        if self._policy is None:
+            return self._random.copy()
+        with torch.inference_mode():
+            inputs = torch.from_numpy(observations), torch.from_numpy(goals)
+            actions = self._policy.explore(*inputs, self._generator).numpy()
+        return np.where(random[:, None], self._random, actions)

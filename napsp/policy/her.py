@@ -1,0 +1,59 @@
+"""Hindsight experience replay: transitions with relabelled goals (Andrychowicz et al. 2017)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from napsp.data.episodes import Episodes, SparseReward
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Goal-relabelled transitions for the policy update; ``rewards`` are the sparse ones."""
+
+    observations: np.ndarray
+    actions: np.ndarray
+    next_observations: np.ndarray
+    goals: np.ndarray
+    rewards: np.ndarray
+
+
+def sample_relabelled(
+    episodes: Episodes,
+    n: int,
+    relabel_ratio: float,
+    other_goals_ratio: float,
+    sparse_reward: SparseReward,
+    rng: np.random.Generator,
+) -> Transitions:
+    """Draw n transitions; HER replaces the goal of a share of them.
+
+    Of ``relabel_ratio`` the new goal is "future": achieved at a step later than the
+    transition's start, its own next state included. Of ``other_goals_ratio`` it is what
+    another episode wanted or achieved, which most often stays unreached: with future goals
+    alone, the values of goals that ask for more than the episode did are never corrected
+    downwards. ``sparse_reward(achieved_goals, goals)`` gives 0 / -1 rewards ``(n,)``.
+    """
+    horizon = episodes.actions.shape[1]
+    episode, t = rng.integers(len(episodes), size=n), rng.integers(horizon, size=n)
+    future = rng.integers(t + 1, horizon + 1)
+    goals = episodes.desired_goals[episode].copy()
+    chance = rng.random(n)
+    relabel = chance < relabel_ratio
+    goals[relabel] = episodes.achieved_goals[episode[relabel], future[relabel]]
+    if other_goals_ratio:
+        other = np.flatnonzero(chance > 1.0 - other_goals_ratio)
+        wanted, achieved = other[::2], other[1::2]
+        goals[wanted] = episodes.desired_goals[rng.integers(len(episodes), size=len(wanted))]
+        goals[achieved] = episodes.achieved_goals[
+            rng.integers(len(episodes), size=len(achieved)), rng.integers(horizon + 1, size=len(achieved))
+        ]
+    return Transitions(
+        observations=episodes.observations[episode, t],
+        actions=episodes.actions[episode, t],
+        next_observations=episodes.observations[episode, t + 1],
+        goals=goals,
+        rewards=sparse_reward(episodes.achieved_goals[episode, t + 1], goals),
+    )

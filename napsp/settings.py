@@ -1,0 +1,114 @@
+"""What all configurations share: nested frozen dataclasses of plain values, addressed by dotted names.
+
+A dotted name such as ``counts.goal_bits`` is an option on the command line (``--counts.goal-bits``), a key in a task's
+card and a line of what makes a result differ from the defaults. A configuration is its own identity: two are the same
+question if they differ from the defaults in the same values, so an option that is added later, with a default that
+leaves things as they were, changes the identity of nothing that exists.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from napsp.errors import UserError
+
+C = TypeVar("C")
+MANY, TINY = 10**9, 1e-12
+
+
+def check_ranges(config: Any, **ranges: tuple[float, float]) -> None:
+    """Check that fields lie within inclusive bounds; None passes where a field may be None.
+
+    Raises:
+        UserError: one does not; NaN never does.
+    """
+    for name, (low, high) in ranges.items():
+        value = getattr(config, name)
+        if value is not None and not low <= value <= high:  # false for NaN as well
+            raise UserError(f"{name} is {value}; it must lie between {low:g} and {high:g}")
+
+
+def check_choice(config: Any, **choices: tuple[str, ...]) -> None:
+    """Check that fields are among the words they may be.
+
+    Raises:
+        UserError: one is not; the message lists them.
+    """
+    for name, words in choices.items():
+        if getattr(config, name) not in words:
+            raise UserError(f"unknown {name} {getattr(config, name)!r}; choose one of: {', '.join(words)}")
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """Nested plain JSON types."""
+    return json.loads(json.dumps(dataclasses.asdict(config)))
+
+
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested dictionaries as one with dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        found |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {prefix + name: value}
+    return found
+
+
+def changed(config: C, changes: Mapping[str, Any]) -> C:
+    """A copy of a configuration with other values, by dotted names.
+
+    Raises:
+        UserError: there is no option of a name, or a value is out of its range.
+    """
+    own: dict[str, Any] = {}
+    for name, value in changes.items():
+        head, _, rest = name.partition(".")
+        if head not in {field.name for field in dataclasses.fields(config)}:  # type: ignore[arg-type]
+            raise UserError(f"there is no option {name!r} in {type(config).__name__} of this version of napsp")
+        own.setdefault(head, {})
+        own[head] = {**own[head], rest: value} if rest else value
+    for head, value in own.items():
+        if dataclasses.is_dataclass(getattr(config, head)) and isinstance(value, Mapping):
+            own[head] = changed(getattr(config, head), value)
+    try:
+        return dataclasses.replace(config, **own)  # type: ignore[type-var]
+    except TypeError as error:
+        raise UserError(f"a value does not fit its option ({error})") from None
+
+
+def differences(config: Any, default: Any) -> dict[str, Any]:
+    """The values, by dotted names, that a configuration has otherwise than ``default``."""
+    own, usual = flat(to_dict(config)), flat(to_dict(default))
+    return {name: value for name, value in own.items() if name not in usual or usual[name] != value}
+
+
+def digest(values: Mapping[str, Any]) -> str:
+    """Ten hexadecimal digits that stand for these values, in file names say."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:10]
+
+
+def as_flags(values: Mapping[str, Any]) -> str:
+    """Dotted names and values as options of a command line."""
+    words = []
+    for name, value in values.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            head, _, last = flag.rpartition(".")
+            words.append(f"--{flag}" if value else f"--{head + '.' if head else ''}no-{last}")
+        else:
+            words.append(f"--{flag} {' '.join(map(str, value)) if isinstance(value, list | tuple) else value}")
+    return " ".join(words)
+
+
+def refuse_old_flags(arguments: list[str], renamed: Mapping[str, str]) -> None:
+    """Refuse options that have another name now; ``renamed`` maps old to new, without leading dashes.
+
+    Raises:
+        UserError: one is used; the message says what it is called now.
+    """
+    for argument in arguments:
+        name = argument.removeprefix("--").partition("=")[0].replace("_", "-")
+        if argument.startswith("--") and name in renamed:
+            raise UserError(f"--{name} is now called --{renamed[name]}")

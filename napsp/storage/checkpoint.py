@@ -1,0 +1,169 @@
+"""Trained models on disk: safetensors with a JSON header, written atomically, never unpickled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from napsp.config import TrainConfig, from_dict
+from napsp.distance.counts import HashedCounts, Visits
+from napsp.distance.network import DistanceNetwork
+from napsp.envs import canonical_name
+from napsp.errors import UserError
+from napsp.policy.actors import DeterministicPolicy, GaussianPolicy, Policy
+from napsp.storage.files import FORMAT, read_tensors, write_tensors
+from napsp.storage.revision import git_revision
+
+MODEL_FILE = "model.safetensors"
+SHIPPED = Path(__file__).parents[1] / "checkpoints"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained distance and policy.
+
+    Attributes:
+        distance: d(s, a, g); None for a checkpoint of the sparse baseline.
+        policy: pi(a | s, g).
+        config: the configuration it was trained with.
+        header: revision, seed, episodes and sizes.
+        visits: N(s, a) at the end of training; None in files that were written without it.
+    """
+
+    distance: DistanceNetwork | None
+    policy: Policy
+    config: TrainConfig
+    header: dict[str, Any]
+    visits: Visits | None = None
+
+    def check_sizes(self, env: Any) -> None:
+        """Check that the model reads what ``env`` offers; a task of one's own may have changed since.
+
+        Raises:
+            UserError: observation, action or goal have other widths.
+        """
+        trained, found = tuple(self.header["sizes"]), sizes_of(env)
+        if trained != found:
+            raise UserError(
+                f"this checkpoint was trained with {trained} numbers of observation, action and goal, and "
+                f"{self.config.env} has {found} now; train it again"
+            )
+
+
+def sizes_of(env: Any) -> tuple[int, int, int]:
+    """Widths of observation, action and goal."""
+    spaces = env.observation_space.spaces
+    return spaces["observation"].shape[0], env.action_space.shape[0], spaces["desired_goal"].shape[0]
+
+
+def save_model(
+    path: Path,
+    policy: Policy,
+    distance: DistanceNetwork | None,
+    config: TrainConfig,
+    sizes: tuple[int, int, int],
+    episodes: int,
+    visits: HashedCounts | None = None,
+) -> None:
+    """Write what a planner or a robot needs: weights, scaling, configuration, and N(s, a) if given."""
+    tensors = {f"policy.{name}": value for name, value in policy.state_dict().items()}
+    if distance is not None:
+        tensors |= {f"distance.{name}": value for name, value in distance.state_dict().items()}
+    if visits is not None:
+        tensors |= {f"visits.{name}": torch.from_numpy(_narrow(getattr(visits, name))) for name in COUNT_TABLE}
+    header = {
+        "format": FORMAT,
+        "kind": "model",
+        "config": config.to_dict(),
+        "config_hash": config.hash(),
+        "sizes": list(sizes),
+        "episodes": episodes,
+        "revision": git_revision(),
+    }
+    write_tensors(path, tensors, header)
+
+
+def load_model(path: str | Path, env: str) -> Model:
+    """Read a model trained on ``env``; ``path`` is the file, its folder, or the name of one that ships.
+
+    Raises:
+        UserError: damaged or foreign file, or a model of another environment.
+    """
+    path = Path(path)
+    if not path.exists() and (SHIPPED / path.name / MODEL_FILE).is_file() and path == Path(path.name):
+        path = SHIPPED / path.name
+    if path.is_dir():
+        path = path / MODEL_FILE
+    tensors, header = read_tensors(path, "model")
+    trained_on = header["config"]["env"]  # before anything else: a task of one's own may not be at hand any more
+    if trained_on != canonical_name(env):
+        raise UserError(f"{path} was trained on {trained_on}, not on {env}; give a checkpoint of {env}")
+    config = from_dict(header["config"])
+    sizes = tuple(header["sizes"])
+    policy: Policy = GaussianPolicy(sizes, config.hidden)
+    if config.agent == "ddpg":
+        policy = DeterministicPolicy(sizes, config.hidden, config.action_noise)
+    distance = DistanceNetwork(sizes, config.hidden, config.horizon, config.distance_output)
+    has_distance = any(name.startswith("distance.") for name in tensors)
+    _load(policy, "policy.", tensors, path)
+    if has_distance:
+        _load(distance, "distance.", tensors, path)
+    visits = _load_visits(tensors, sizes, config.visit_bits, policy, path)
+    return Model(distance if has_distance else None, policy, config, header, visits)
+
+
+COUNT_TABLE = ("projection", "keys", "counts")
+
+
+def _narrow(array: np.ndarray) -> np.ndarray:
+    """Integers in half the bytes where they fit; the projection as it is, for its signs must not change."""
+    fits = array.dtype == np.int64 and array.max(initial=0) <= np.iinfo(np.int32).max
+    return array.astype(np.int32) if fits else array
+
+
+def _load_visits(
+    tensors: dict[str, Tensor], sizes: tuple[int, int, int], n_bits: int, policy: Policy, path: Path
+) -> Visits | None:
+    if not any(name.startswith("visits.") for name in tensors):
+        return None
+    parts = [tensors.get(f"visits.{name}", torch.empty(0, dtype=torch.bool)) for name in COUNT_TABLE]
+    fits = parts[0].dtype == torch.float64 and all(part.dtype in (torch.int32, torch.int64) for part in parts[1:])
+    fits = fits and parts[0].shape == (sizes[0] + sizes[1] + 1, n_bits) and bool(parts[0].isfinite().all())
+    fits = fits and parts[1].ndim == 1 and parts[1].shape == parts[2].shape and bool((parts[2] >= 1).all())
+    keys = parts[1].long()
+    fits = fits and bool((keys.diff() > 0).all() and (keys >= 0).all() and (keys < 2**n_bits).all())
+    if not fits:
+        raise UserError(f"{path} does not hold visit counts that fit its header; train it again")
+    table = HashedCounts(parts[0].numpy(), keys.numpy(), parts[2].long().numpy())
+    return Visits(table, policy.scaling.numbers())  # training counts under the networks' own scaling
+
+
+def _load(network: torch.nn.Module, prefix: str, tensors: dict[str, Tensor], path: Path) -> None:
+    weights = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError:
+        raise UserError(f"{path} does not hold the network its header describes; train it again") from None
+    if not all(torch.isfinite(value).all() for value in weights.values()):
+        raise UserError(f"{path} holds weights that are not finite; train it again")
+    network.eval().requires_grad_(False)
+
+
+def shipped_model(env: str) -> Path:
+    """Path of the checkpoint that comes with the package.
+
+    Raises:
+        UserError: none ships for this environment.
+    """
+    path = SHIPPED / canonical_name(env) / MODEL_FILE
+    if not path.is_file():
+        raise UserError(
+            f"no checkpoint ships for {env}; train one with: python -m napsp.train --env {env}, "
+            "then pass it with --checkpoint"
+        )
+    return path

@@ -1,0 +1,85 @@
+"""What a training run leaves beside its weights: how it was made, and its curve."""
+
+from __future__ import annotations
+
+import io
+import platform
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import torch
+
+from napsp.config import TrainConfig
+from napsp.presets import preset
+from napsp.storage.files import write_atomically, write_json
+from napsp.storage.progress import Row
+
+RECORD_FILE = "training.json"
+
+
+def command_line(config: TrainConfig) -> str:
+    """The command that repeats a run: the task, method and seed, and what differs from the preset."""
+    default = preset(config.env, method=config.method).to_dict()
+    words = ["python -m napsp.train", f"--env {config.env}", f"--method {config.method}", f"--seed {config.seed}"]
+    for name, value in config.to_dict().items():
+        if name not in ("env", "method", "seed") and value != default[name]:
+            flag = name.replace("_", "-")
+            if isinstance(value, bool):
+                words.append(f"--{flag}" if value else f"--no-{flag}")
+            else:
+                words.append(f"--{flag} {' '.join(map(str, value)) if isinstance(value, list) else value}")
+    return " ".join(words)
+
+
+def write_record(folder: Path, config: TrainConfig, rows: list[Row], revisions: list[str]) -> None:
+    """Write ``training_curve.png``, then ``training.json``; ``revisions`` are those the run was trained by."""
+    draw_curve(folder / "training_curve.png", config, rows)
+    record = {
+        "command": command_line(config),
+        "revision": ", ".join(revisions),
+        "seed": config.seed,
+        "config_hash": config.hash(),
+        "config": config.to_dict(),
+        "episodes": rows[-1]["episodes"],
+        "minutes": round(rows[-1]["seconds"] / 60, 2),
+        "final": rows[-1],
+        "versions": {"python": platform.python_version(), "torch": torch.__version__, "mujoco": mujoco.__version__},
+    }
+    write_json(folder / RECORD_FILE, record)
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a matplotlib figure as PNG, atomically, and close it."""
+    from matplotlib import pyplot as plt
+
+    image = io.BytesIO()
+    figure.savefig(image, format="png", dpi=110)
+    plt.close(figure)
+    write_atomically(path, image.getvalue())
+
+
+def draw_curve(path: Path, config: TrainConfig, rows: list[Row]) -> None:
+    """Success, distances and the rates of the triangular loss over training episodes."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    panels = {
+        "success rate": ("success_rate", "any_success_rate"),
+        "distance [steps]": ("mean_distance", "distance_at_goal"),
+        "rates of eq. 4b": ("merging_rate", "relaxation_rate"),
+    }
+    figure, axes = plt.subplots(1, len(panels), figsize=(10, 2.8), layout="constrained")
+    for axis, (title, names) in zip(axes, panels.items(), strict=True):
+        for name in names:
+            points = [(row["episodes"], row[name]) for row in rows if name in row]
+            if points:
+                axis.plot(*zip(*points, strict=True), label=name.replace("_", " "))
+        axis.set(xlabel="training episodes", title=title)
+        axis.set_ylim(bottom=0)
+        if axis.lines:
+            axis.legend(fontsize=7)
+    figure.suptitle(f"{config.env}, {config.method}, seed {config.seed}", fontsize=10)
+    save_figure(figure, path)

@@ -1,0 +1,1 @@
+"""The application around the searches: command line, session, report, pictures."""

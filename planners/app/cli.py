@@ -1,0 +1,72 @@
+"""The command shared by all planners: ``python -m planners.mppi --env fetch_wall``."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import tyro
+
+from napsp.errors import run_command
+from planners.app.gl import choose_gl, require_display
+from planners.app.search_options import OPTIONS
+
+
+def main(planner: str) -> None:
+    """Entry point of ``python -m planners.NAME``."""
+    choose_gl()  # before anything imports mujoco
+    run_command(lambda: run(planner, sys.argv[1:]))
+
+
+def run(planner: str, arguments: list[str]) -> int:
+    """Plan the episodes, print the table, write the output folder.
+
+    Ctrl-C ends the episodes early; what was done is still reported.
+    """
+    options = tyro.cli(OPTIONS[planner], args=arguments, prog=f"python -m planners.{planner}")
+    if options.render == "human":
+        require_display()
+
+    import torch
+
+    from napsp.envs import file_name
+    from planners.app.distance_field import DistanceField
+    from planners.app.report import Report
+    from planners.app.session import Session
+    from planners.app.video import Video
+
+    torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
+    session = Session.open(planner, options)
+    default = f"{file_name(session.env_name)}-{planner}-{options.cost.replace(':', '-')}-s{options.seed}"
+    folder = options.out or Path("plans") / default
+    folder.mkdir(parents=True, exist_ok=True)
+    report = Report(folder, session)
+    report.announce()
+    for name in ("video.mp4", "distance_field.png"):
+        (folder / name).unlink(missing_ok=True)  # an older run's would look like this one's
+    video = Video(folder / "video.mp4", session.env.unwrapped) if options.video and options.render == "none" else None
+    field = DistanceField(session) if DistanceField.drawable(session) else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        try:
+            for episode in range(options.episodes):
+                watching = (video if episode < options.video_episodes else None, field if episode == 0 else None)
+                result = session.run_episode(options.seed + episode, [w for w in watching if w is not None])
+                report.add(result)
+                if field is not None and episode == 0:
+                    field.draw(folder / "distance_field.png", result)
+                    report.note(f"distance field of the first episode: {folder}/distance_field.png")
+        except BaseException as error:
+            if not isinstance(error, KeyboardInterrupt) or not report.results:
+                if video is not None:
+                    video.abandon()
+                raise
+            report.note(f"interrupted after {len(report.results)} of {options.episodes} episodes")
+    if video is not None:
+        report.note(video.close())
+    elif options.render == "human":
+        report.note("no video: the episodes were shown in the viewer")
+    report.finish(session.raw_speed_fraction())
+    session.close()
+    return 0 if len(report.results) == options.episodes else 130

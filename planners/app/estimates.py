@@ -1,0 +1,81 @@
+"""What a plan is charged for its steps to go, built from the options: models and their estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from mpc.cost import EuclideanSteps, GivenSteps, LearnedSteps, NoSteps, StepsToGo
+from napsp.errors import UserError, describe_failure, load_object
+from napsp.storage.checkpoint import Model, load_model, shipped_model
+from planners.app.options import PlanOptions
+
+
+def load_models(options: PlanOptions, env_name: str) -> list[Model]:
+    """The checkpoint to plan with, then those of the ensemble; none for a cost that needs no distance.
+
+    Raises:
+        UserError: a checkpoint is unusable, of another task, or lacks what the options ask of it.
+    """
+    if options.cost != "distance":
+        return []
+    model = load_model(options.checkpoint or shipped_model(env_name), env_name)
+    if model.distance is None:
+        raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
+    if options.pessimism and model.visits is None:
+        raise UserError(
+            f"--pessimism needs visit counts and this checkpoint holds none; train one with: python -m napsp.train "
+            f"--env {env_name}, then pass it with --checkpoint, or use --ensemble"
+        )
+    ensemble = [load_model(path, env_name) for path in options.ensemble]
+    for path, member in zip(options.ensemble, ensemble, strict=True):
+        if member.distance is None:
+            raise UserError(f"{path} of --ensemble holds no distance (method sparse); leave it out")
+        if member.header["sizes"] != model.header["sizes"]:
+            raise UserError(f"{path} of --ensemble was trained on another version of {env_name}; train it again")
+    return [model, *ensemble]
+
+
+def steps_to_go(options: PlanOptions, models: Sequence[Model], world: Any) -> StepsToGo:
+    """The estimate that ``--cost`` names.
+
+    Raises:
+        UserError: it is not known for this task.
+    """
+    if models:
+        return LearnedSteps(models[0], options.pessimism, models[1:])
+    if options.cost == "shortest_path":
+        if not hasattr(world, "shortest_steps"):
+            raise UserError(f"the true shortest path of {options.env} is not known; use --cost euclidean or distance")
+        return GivenSteps(world.shortest_steps)
+    if ":" in options.cost:
+        return GivenSteps(own_cost(options.cost))
+    return EuclideanSteps(world.step_length) if options.cost == "euclidean" else NoSteps()
+
+
+def own_cost(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """The user's cost ``module:function``; what goes wrong in it is said in one sentence.
+
+    Raises:
+        UserError: there is no such function; when called: it raises, or returns another shape than ``(B,)``.
+    """
+    function = load_object(name)
+
+    def steps(achieved_goals: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        try:
+            found = function(achieved_goals, goal)
+        except Exception as error:
+            raise UserError(f"--cost {name} failed with {describe_failure(error)}; correct the function") from error
+        try:
+            found = np.asarray(found, np.float64)
+        except (TypeError, ValueError):
+            raise UserError(f"--cost {name} returned {type(found).__name__}; return one number per goal") from None
+        if found.shape != achieved_goals.shape[:1]:
+            raise UserError(
+                f"--cost {name} returned shape {found.shape} for {len(achieved_goals)} goals; return a number per goal"
+            )
+        return found
+
+    return steps

@@ -1,0 +1,66 @@
+"""Pictures of planned episodes over their control steps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from napsp.storage.record import save_figure
+from planners.app.episode import EpisodeResult
+from planners.app.session import Session
+
+SHOWN_EPISODES = 3  # more hide each other
+
+
+def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResult]) -> None:
+    """Draw the cost's steps to go and the straight-line gap over the steps of each episode."""
+    plt = _pyplot()
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
+    for result in results:
+        color = "tab:blue" if result.success else "tab:red"
+        steps = np.arange(1, len(result.steps) + 1)
+        left.plot(steps, result.column("steps_to_go"), color=color, alpha=0.5, linewidth=1)
+        right.plot(steps, result.column("gap"), color=color, alpha=0.5, linewidth=1)
+    left.set(xlabel="control step", ylabel="steps to go", title=f"cost: {session.options.cost}")
+    right.set(xlabel="control step", ylabel="gap to the goal [m]", title="blue: success, red: failure")
+    right.axhline(session.env.unwrapped.goal_radius, color="black", linestyle=":", linewidth=1)
+    for axis in (left, right):
+        axis.set_ylim(bottom=0)
+    figure.suptitle(f"{session.env_name}, {session.planner}, {len(results)} episodes")
+    save_figure(figure, path)
+
+
+def plot_steps(path: Path, session: Session, results: list[EpisodeResult]) -> None:
+    """Draw how planning went at each control step of the first episodes: cost, samples used, time."""
+    plt = _pyplot()
+    figure, (costs, shares, times) = plt.subplots(3, 1, figsize=(7, 6.6), sharex=True, layout="constrained")
+    for k, result in enumerate(results[:SHOWN_EPISODES]):
+        steps, style = np.arange(1, len(result.steps) + 1), {"color": f"C{k}", "linewidth": 1.2}
+        costs.plot(steps, result.column("cost"), **style, label=f"seed {result.seed}")
+        costs.plot(steps, result.column("steps_to_go"), **style, linestyle=":")
+        shares.plot(steps, 100 * result.column("effective_share"), **style)
+        times.plot(steps, result.column("plan_ms"), **style)
+        for axis in (costs, shares, times) if result.first_hit else ():
+            axis.axvline(result.first_hit, color=f"C{k}", linestyle="--", linewidth=0.8, alpha=0.6)
+    period = 1e3 * session.control_period
+    times.axhline(period, color="black", linestyle=":", linewidth=1, label=f"control period, {period:.3g} ms")
+    costs.set(ylabel="steps", title="cost of the executed plan (solid), distance to go after its action (dotted)")
+    shares.set(ylabel="effective sample\nsize [% of samples]")
+    times.set(ylabel="plan call [ms]", xlabel="control step (dashed: first at the goal)")
+    costs.legend(fontsize=8)
+    times.legend(fontsize=8)
+    for axis in (costs, shares, times):
+        axis.set_ylim(bottom=0)
+    figure.suptitle(f"{session.env_name}, {session.planner}, cost {session.options.cost}")
+    save_figure(figure, path)
+
+
+def _pyplot() -> Any:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    return plt

@@ -1,0 +1,161 @@
+"""What a planning command leaves behind: live lines, a table, JSON, CSV and plots."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from napsp.statistics import describe, wilson_interval
+from napsp.storage.files import write_atomically, write_json
+from planners.app.episode import COLUMNS, EpisodeResult
+from planners.app.plots import plot_distance_to_go, plot_steps
+from planners.app.session import Session
+
+
+class Report:
+    """Collects episodes, speaks while they run, writes the output folder at the end."""
+
+    def __init__(self, folder: Path, session: Session) -> None:
+        self._folder, self._session = folder, session
+        self.results: list[EpisodeResult] = []
+        self._notes: list[str] = []
+        self._steps = [",".join(COLUMNS)]  # lines of steps.csv
+        # A file or a pipe has no width; a fixed one keeps lines whole.
+        self._console = Console(width=None if Console().is_terminal else 110)
+
+    def announce(self) -> None:
+        """Say what is about to run."""
+        options, model = self._session.options, self._session.model
+        source = f"d trained for {model.header['episodes']} episodes" if model else "no checkpoint"
+        self._console.print(
+            f"{self._session.env_name}: {self._session.planner}, cost {options.cost} ({options.where}), "
+            f"{options.samples} samples x {self._session.horizon} steps, {source}",
+            highlight=False,
+        )
+        if options.planning_model == "coarse":
+            own, planned = self._session.substeps
+            self._console.print(
+                f"planning model: coarse, {planned} physics steps per control step; the environment runs {own}",
+                highlight=False,
+            )
+
+    def note(self, text: str) -> None:
+        """Keep a line for the end of the report."""
+        self._notes.append(text)
+
+    def add(self, result: EpisodeResult) -> None:
+        """Record an episode and print its line."""
+        self.results.append(result)
+        write_atomically(self._folder / "episodes.csv", self._csv().encode())
+        self._steps += [",".join(row) for row in result.rows(len(self.results))]
+        write_atomically(self._folder / "steps.csv", ("\n".join(self._steps) + "\n").encode())
+        n, total = len(self.results), self._session.options.episodes
+        hit = f"first hit after {result.first_hit:3d} steps" if result.first_hit else "never at the goal      "
+        left = np.mean([r.seconds for r in self.results]) * (total - n)
+        self._console.print(
+            f"  episode {n:3d}/{total}  {'success' if result.success else 'FAILURE'}  {hit}  "
+            f"final gap {100 * result.final_gap:5.1f} cm  {np.median(result.plan_ms):6.1f} ms/plan  {left:4.0f} s left",
+            highlight=False,
+        )
+
+    def finish(self, raw_speed_fraction: float) -> None:
+        """Write summary.json and the plots; print the table."""
+        summary = self.summary(raw_speed_fraction)
+        write_json(self._folder / "summary.json", summary)
+        plot_distance_to_go(self._folder / "distance_to_go.png", self._session, self.results)
+        plot_steps(self._folder / "steps.png", self._session, self.results)
+        self._print(summary)
+
+    def summary(self, raw_speed_fraction: float) -> dict[str, Any]:
+        """The content of summary.json."""
+        results, n = self.results, len(self.results)
+        hits = [r.first_hit for r in results if r.first_hit is not None]
+        successes = sum(r.success for r in results)
+        plan_ms = np.concatenate([r.plan_ms for r in results])
+        period_ms = 1e3 * self._session.control_period
+        return {
+            **self._session.summary(),
+            "episodes": n,
+            "success_rate": successes / n,
+            "success_interval_95": wilson_interval(successes, n),
+            "any_success_rate": len(hits) / n,
+            "any_success_interval_95": wilson_interval(len(hits), n),
+            "mean_steps_to_goal": float(np.mean(hits)) if hits else None,
+            "median_steps_to_goal": float(np.median(hits)) if hits else None,
+            "plan_ms_median": float(np.median(plan_ms)),
+            "plan_ms_p95": float(np.percentile(plan_ms, 95)),
+            "control_period_ms": period_ms,
+            "keeps_control_rate": bool(np.median(plan_ms) <= period_ms),
+            "raw_speed_fraction": raw_speed_fraction,
+            "mean_action_rate": float(np.mean([r.action_rate for r in results])),
+            "mean_jerk": float(np.mean([r.jerk for r in results])),
+            "smoothing": self._session.smoothing_summary(),
+        }
+
+    def _csv(self) -> str:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        columns = (
+            "seed success any_success first_hit final_gap_m plan_ms_median seconds smoothing_ms_median action_rate jerk"
+        )
+        writer.writerow(columns.split())
+        for r in self.results:
+            hit = "" if r.first_hit is None else r.first_hit
+            writer.writerow(
+                [r.seed, int(r.success), int(r.first_hit is not None), hit, f"{r.final_gap:.5f}",
+                 f"{np.median(r.plan_ms):.2f}", f"{r.seconds:.2f}",
+                 f"{np.median(r.smoothing_ms):.2f}", f"{r.action_rate:.6f}", f"{r.jerk:.4f}"]
+            )  # fmt: skip
+        return text.getvalue()
+
+    def _print(self, summary: dict[str, Any]) -> None:
+        table = Table(title=f"{summary['planner']} on {summary['env']}, cost {summary['cost']}")
+        for column in (
+            "success",
+            "at goal in some step",
+            "steps to goal",
+            "action rate",
+            "ms per plan",
+            "of raw simulator speed",
+        ):
+            table.add_column(column, justify="right")
+        steps = summary["mean_steps_to_goal"]
+        table.add_row(
+            describe(summary["success_rate"], summary["success_interval_95"]),
+            describe(summary["any_success_rate"], summary["any_success_interval_95"]),
+            "-" if steps is None else f"{steps:.1f}",
+            f"{summary['mean_action_rate']:.4f}",
+            f"{summary['plan_ms_median']:.1f}",
+            f"{summary['raw_speed_fraction']:.2f}",
+        )
+        self._console.print(table)
+        smoothing = summary["smoothing"]
+        if smoothing is not None:
+            self._console.print(
+                f"smoothing: {100 * smoothing['accepted_share']:.0f} % of {smoothing['calls']} plans accepted, "
+                f"{100 * smoothing['kept_share']:.0f} % handed back smooth by the search, "
+                f"{smoothing['risen']} with a higher cost, {smoothing['solver_failures']} solver failures; median ms: "
+                f"linearise {smoothing['linearise_ms']:.1f}, solve {smoothing['solve_ms']:.1f}, "
+                f"verify {smoothing['verify_ms']:.1f}; built once in {smoothing['build_ms']:.1f}",
+                highlight=False,
+            )
+        if not summary["keeps_control_rate"]:
+            self._console.print(
+                f"warning: a plan call takes {summary['plan_ms_median']:.3g} ms (median), more than the control period "
+                f"of {summary['control_period_ms']:.3g} ms: the simulation waited for the planner, a robot would not; "
+                "use fewer --samples, a shorter --horizon or more --threads",
+                highlight=False,
+                soft_wrap=True,
+            )
+        for line in self._notes:
+            self._console.print(line, highlight=False)
+        self._console.print(
+            f"results: {self._folder}/summary.json, episodes.csv, steps.csv, steps.png, distance_to_go.png",
+            highlight=False,
+        )
