@@ -47,7 +47,7 @@ def main() -> int:
     env = tasks.make(env_name)
     model.check_sizes(env)
     seeds = [options.seed + i for i in range(options.episodes)]
-    result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
+    result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.episode_length)
     env.close()
     hits = result.first_hits[~np.isnan(result.first_hits)]
     n = len(seeds)

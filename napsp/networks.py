@@ -1,4 +1,4 @@
-"""The networks: distance d(s, a, g), squashed Gaussian policy, critics.
+"""What all networks are made of: layers, and the scaling of their inputs.
 
 Every network takes raw inputs and scales them itself, so that a checkpoint is complete.
 SiLU everywhere: the smoothing layer differentiates d (and the policy inside it) twice.
@@ -7,6 +7,8 @@ SiLU everywhere: the smoothing layer differentiates d (and the policy inside it)
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -14,12 +16,12 @@ from torch import Tensor, nn
 from napsp.scaling import Scaling
 
 
-def mlp(n_inputs: int, hidden: tuple[int, ...], n_outputs: int) -> nn.Sequential:
-    """Fully connected network with SiLU between its linear layers."""
+def mlp(n_inputs: int, hidden: tuple[int, ...], n_outputs: int, layer_norm: bool = False) -> nn.Sequential:
+    """Fully connected network with SiLU, after a layer norm if wanted, between its linear layers."""
     widths = [n_inputs, *hidden]
     layers: list[nn.Module] = []
     for before, after in itertools.pairwise(widths):
-        layers += [nn.Linear(before, after), nn.SiLU()]
+        layers += [nn.Linear(before, after), *([nn.LayerNorm(after)] if layer_norm else []), nn.SiLU()]
     return nn.Sequential(*layers, nn.Linear(widths[-1], n_outputs))
 
 
@@ -40,7 +42,7 @@ class InputScaling(nn.Module):
 
     def numbers(self) -> Scaling:
         """The numpy :class:`Scaling` with the same numbers."""
-        return Scaling(*(getattr(self, name).numpy().copy() for name in Scaling.NUMBERS))
+        return Scaling(*(getattr(self, name).cpu().numpy().copy() for name in Scaling.NUMBERS))
 
     def forward(self, observation: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
         """Scaled observation ``(B, O)`` and goal ``(B, G)``."""
@@ -51,21 +53,35 @@ class InputScaling(nn.Module):
         )
 
 
-@torch.no_grad()
-def rescale(network: nn.Module, scaling: Scaling) -> None:
-    """Give a network another input scaling and the same function (where nothing is clipped).
+class Scaled(Protocol):
+    """A network that scales its own inputs."""
 
-    Its first layers must read observations in their first columns and goals in their last.
-    """
-    old: InputScaling = network.scaling  # type: ignore[assignment]
-    n_observation, n_goal = len(scaling.observation_mean), len(scaling.goal_mean)
-    parts = {"observation": slice(0, n_observation), "goal": slice(-n_goal, None)}
-    for net in getattr(network, "nets", None) or [network.net]:  # type: ignore[union-attr]
-        for name, columns in parts.items():
-            mean, scale = (torch.from_numpy(getattr(scaling, f"{name}_{part}")) for part in ("mean", "scale"))
+    scaling: InputScaling
+
+    def readers(self) -> Iterator[tuple[nn.Linear, dict[str, slice]]]:
+        """Every layer that reads scaled inputs, with the columns where it reads ``observation`` and ``goal``."""
+        ...
+
+
+def first_linear(net: nn.Module) -> nn.Linear:
+    """The layer of a network that reads its inputs."""
+    return next(layer for layer in net.modules() if isinstance(layer, nn.Linear))
+
+
+def joined_columns(n_observation: int, n_goal: int) -> dict[str, slice]:
+    """Where joined inputs, ``(observation, ..., goal)``, hold what is scaled."""
+    return {"observation": slice(0, n_observation), "goal": slice(-n_goal, None)}
+
+
+@torch.no_grad()
+def rescale(network: Scaled, scaling: Scaling) -> None:
+    """Give a network another input scaling and the same function (where nothing is clipped)."""
+    old = network.scaling
+    for first, columns in network.readers():
+        for name, part in columns.items():
+            mean, scale = (torch.from_numpy(getattr(scaling, f"{name}_{what}")) for what in ("mean", "scale"))
             old_mean, old_scale = getattr(old, f"{name}_mean"), getattr(old, f"{name}_scale")
-            first = next(layer for layer in net.modules() if isinstance(layer, nn.Linear))
-            weight = first.weight[:, columns]
-            first.bias += weight @ ((mean - old_mean) / old_scale)
-            weight *= scale / old_scale
+            weight = first.weight[:, part]
+            first.bias += weight @ ((mean.to(weight.device) - old_mean) / old_scale)
+            weight *= scale.to(weight.device) / old_scale
     old.set(scaling)

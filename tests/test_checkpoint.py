@@ -5,12 +5,12 @@ import os
 import pytest
 import torch
 
+from napsp.config import preset
 from napsp.distance.network import DistanceNetwork
 from napsp.errors import UserError
 from napsp.policy.actors import GaussianPolicy
-from napsp.presets import preset
-from napsp.storage.checkpoint import MODEL_FILE, load_model, save_model
-from napsp.storage.files import read_tensors, write_atomically, write_json, write_tensors
+from napsp.storage.checkpoint import MODEL_FILE, SHIPPED, load_model, save_model
+from napsp.storage.files import OLDER, read_tensors, write_atomically, write_json, write_tensors
 from napsp.storage.progress import read_rows
 
 
@@ -74,7 +74,7 @@ def test_a_folder_is_no_file_to_write_to(tmp_path):
 def test_weights_that_are_not_finite_are_refused(saved):
     path, _ = saved
     tensors, header = read_tensors(path, "model")
-    tensors["distance.net.0.bias"][0] = float("nan")
+    tensors["distance.heads.0.net.0.bias"][0] = float("nan")
     write_tensors(path, tensors, header)
     with pytest.raises(UserError, match="not finite"):
         load_model(path, "point_maze")
@@ -96,3 +96,26 @@ def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space left"):
         write_atomically(path, b"new")
     assert path.read_bytes() == b"old" and [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_the_episode_length_is_part_of_the_file(saved, monkeypatch):
+    path, distance = saved
+    monkeypatch.setattr("napsp.config.episode_length", lambda env: 400)
+    rows = torch.randn(5, 4), torch.randn(5, 2), torch.randn(5, 2)
+    torch.testing.assert_close(load_model(path, "point_maze").distance(*rows), distance(*rows).detach())
+
+
+@pytest.mark.parametrize(
+    ("name", "env", "options"),
+    [
+        ("point_maze", "point_maze", {"n_episodes": 1000, "episodes_per_iteration": 4, "evaluate.every": 100}),
+        ("fetch_wall", "fetch_wall", {}),
+    ],
+)
+def test_files_of_the_first_format_are_read_under_todays_names(name, env, options):
+    tensors, header = read_tensors(SHIPPED / name / MODEL_FILE, "model")
+    assert header["format"] == OLDER and "epsilon" in header["config"], "a file as it was written then"
+    model = load_model(name, env)
+    assert model.config.identity() == {**options, "env": env, "method": "ours"}
+    assert model.config.explore.epsilon == pytest.approx(0.28)
+    torch.testing.assert_close(model.distance.plain().net[0].weight, tensors["distance.net.0.weight"])

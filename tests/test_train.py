@@ -14,9 +14,16 @@ import numpy as np
 import pytest
 import torch
 
-from napsp.config import ADDED, METHODS, RANGES, TrainConfig, from_dict
+from napsp import envs
+from napsp.config import METHODS, TrainConfig, from_dict, preset, to_dict
+from napsp.distance.counts import CountModel
+from napsp.envs.cards import CARDS
 from napsp.errors import UserError
-from napsp.presets import preset
+from napsp.execution import Execution
+from napsp.learner import Learner
+from napsp.renamed import TRAINING
+from napsp.run import Run, new_learner
+from napsp.settings import as_flags, changed, flat
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors, write_tensors
 from napsp.storage.resume import STATE_FILE, read_training
@@ -31,13 +38,13 @@ TINY = {
     "n_policy_updates": 3,
     "batch_size": 32,
     "hidden": (16, 16),
-    "evaluate_every": 4,
-    "n_evaluation_episodes": 2,
+    "evaluate.every": 4,
+    "evaluate.n_episodes": 2,
 }
 
 
-def tiny(env="point_maze", **changes):
-    return preset(env, **{**TINY, **changes})
+def tiny(env="point_maze", method="ours", recipe="paper", **changes):
+    return preset(env, method, recipe, {**TINY, **changes})
 
 
 def learned(rows):
@@ -64,7 +71,7 @@ def test_every_method_runs_and_writes_its_files(method, tmp_path, capsys):
 
 @pytest.mark.parametrize("slow", [False, True])
 def test_the_slow_distance_is_the_one_saved_and_used(tmp_path, slow):
-    train(tiny(slow_distance=slow, target_polyak=0.1), tmp_path)
+    train(tiny(**{"distance.slow": slow, "distance.target_polyak": 0.1}), tmp_path)
     state = read_tensors(tmp_path / STATE_FILE, "training state")[0]
     saved = load_model(tmp_path, "point_maze").distance.state_dict()
     same = {
@@ -81,7 +88,7 @@ def test_same_seed_same_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"agent": "ddpg", "rescale": True, "clipped_double_q": True, "slow_distance": True}]
+    "changes", [{}, {"policy.agent": "ddpg", "rescale": True, "policy.clipped_double_q": True, "distance.slow": True}]
 )
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
     whole = train(tiny(**changes), tmp_path / "whole")
@@ -95,10 +102,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
 
 def test_killed_at_a_random_moment_it_continues(tmp_path):
     command = [sys.executable, "-m", "napsp.train", "--env", "point_maze", "--out", str(tmp_path / "run")]
-    for name, value in tiny(n_episodes=4000).to_dict().items():
-        if name in TINY:
-            values = [str(v) for v in value] if isinstance(value, list) else [str(value)]
-            command += [f"--{name.replace('_', '-')}", *values]
+    command += as_flags({**TINY, "n_episodes": 4000}).split()
     done = []
     for pause in np.random.default_rng(0).uniform(0.3, 1.5, 2):
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -124,14 +128,13 @@ def test_rescaling_counts_everything_again(tmp_path):
     train(tiny(), tmp_path / "once")
     (often, header), (once, _) = (read_tensors(tmp_path / n / STATE_FILE, "training state") for n in ("often", "once"))
     assert header["scaled_at"] == 16
-    for table in ("visits", "reached"):
+    for table in ("visits", "reached.0.table", "reached.1.table"):
         assert often[f"{table}.counts"].sum() == once[f"{table}.counts"].sum()
     assert not torch.equal(often["policy.scaling.goal_scale"], once["policy.scaling.goal_scale"])
 
 
 def test_reduced_precision_is_for_the_training_alone(tmp_path):
-    assert tiny().hash() == TrainConfig(**{**tiny().to_dict(), "matmul_precision": "highest"}).hash()
-    assert tiny().hash() != tiny(matmul_precision="medium").hash()
+    assert tiny().digest() != tiny(matmul_precision="medium").digest()
     rough = train(tiny(matmul_precision="medium"), tmp_path / "rough")
     assert torch.get_float32_matmul_precision() == "highest"
     assert learned(train(tiny(matmul_precision="medium"), tmp_path / "again")) == learned(rough)
@@ -156,33 +159,25 @@ def test_interrupt_saves_and_the_same_command_goes_on(tmp_path, capsys):
 
 def test_other_settings_in_the_same_folder_are_refused(tmp_path):
     train(tiny(), tmp_path)
-    with pytest.raises(UserError, match="other settings \\(discount\\)"):
-        train(tiny(discount=0.9), tmp_path)
-    assert len(train(tiny(discount=0.9), tmp_path, restart=True)) == 3
+    with pytest.raises(UserError, match=r"other settings \(policy\.discount\)"):
+        train(tiny(**{"policy.discount": 0.9}), tmp_path)
+    assert len(train(tiny(**{"policy.discount": 0.9}), tmp_path, restart=True)) == 3
 
 
 def test_a_run_begun_before_an_option_existed_is_continued(tmp_path):
     train(tiny(n_episodes=8), tmp_path)
     tensors, header = read_tensors(tmp_path / STATE_FILE, "training state")
-    header["config"] = {name: value for name, value in header["config"].items() if name not in ADDED}
+    del header["config"]["counts"]["n_lattices"], header["config"]["matmul_precision"]
     write_tensors(tmp_path / STATE_FILE, tensors, header)
     assert train(tiny(), tmp_path)[-1]["episodes"] == tiny().n_episodes
 
 
-def test_a_state_whose_distance_had_made_no_step_is_continued(tmp_path):
-    """Older versions did not store an optimiser before its first step."""
-    train(tiny(method="sparse", n_episodes=8), tmp_path)
-    tensors, header = read_tensors(tmp_path / STATE_FILE, "training state")
-    old = {name: value for name, value in tensors.items() if not name.startswith("distance_optimizer.")}
-    write_tensors(tmp_path / STATE_FILE, old, header)
-    continued = train(tiny(method="sparse"), tmp_path)
-    assert str(learned(continued)) == str(learned(train(tiny(method="sparse"), tmp_path / "whole")))  # NaN and all
-
-
-def test_compiling_changes_neither_the_hash_nor_whose_run_it_is(tmp_path):
-    assert tiny(compiled=True).hash() == tiny().hash()
+def test_a_state_of_an_older_format_is_one_sentence(tmp_path):
     train(tiny(n_episodes=8), tmp_path)
-    read_training(tmp_path / STATE_FILE, tiny(compiled=True))
+    tensors, header = read_tensors(tmp_path / STATE_FILE, "training state")
+    write_tensors(tmp_path / STATE_FILE, tensors, {**header, "format": "napsp-1"})
+    with pytest.raises(UserError, match=r"older version of napsp.* or begin anew with --restart"):
+        read_training(tmp_path / STATE_FILE, tiny())
 
 
 @pytest.mark.slow
@@ -199,40 +194,127 @@ def test_a_compiler_that_fails_is_one_sentence(tmp_path):
 
 
 def test_command_line_defaults_follow_the_task():
-    config, options = parse(["--env", "point_maze_long", "--seed", "7", "--method", "ddl"])
-    assert config == preset("point_maze_long", seed=7, method="ddl") and options.out is None
+    config, options, execution = parse(["--env", "point_maze_long", "--seed", "7", "--method", "ddl"])
+    assert config == preset("point_maze_long", "ddl", seed=7) and options.out is None and execution == Execution()
     assert parse(["--env=fetch_reach_wall"])[0].env == "fetch_wall"
+    config = parse(["--env", "fetch_wall", "--counts.goal-cell", "0.5", "--distance.slow", "--hidden", "8", "9"])[0]
+    assert config == preset("fetch_wall", changes={"counts.goal_cell": 0.5, "distance.slow": True}, hidden=(8, 9))
+
+
+def test_ours_is_the_paper_on_every_task_and_a_recipe_is_named():
+    for env in CARDS:
+        config = preset(env)
+        beyond = (config.distance.slow, config.temporal.first_arrival, config.policy.clipped_double_q)
+        assert config.recipe == "paper" and not any(beyond) and config.her.other_goals_ratio == 0.0
+        assert config.distance.target_polyak == 1.0 and config.explore.held_starts == 0.0
     for method, discount in (("ours", 0.9), ("sparse", 0.98)):
-        config = parse(["--env", "fetch_pick_place", f"--method={method}"])[0]
-        assert config == preset("fetch_pick_place", method=method) and config.discount == discount
+        config = parse(["--env", "fetch_pick_place", "--recipe", "manipulation", f"--method={method}"])[0]
+        assert config == preset("fetch_pick_place", method, "manipulation") and config.policy.discount == discount
+        assert config.explore.held_starts == 0.5 and config.distance.slow
+    with pytest.raises(UserError, match="no recipe 'manipulation' for point_maze; choose one of: paper"):
+        preset("point_maze", recipe="manipulation")
+
+
+def test_old_flags_get_a_sentence_with_the_new_name(capsys):
+    for old, new in (("visit-bits", "counts.visit-bits"), ("first-arrival", "temporal.first-arrival")):
+        with pytest.raises(UserError, match=f"--{old} is now called --{new}"):
+            parse(["--env", "point_maze", f"--{old}"])
+    with pytest.raises(UserError, match=r"--evaluate-every is now called --evaluate\.every"):
+        parse(["--evaluate_every=5"])
+    for new in TRAINING.values():
+        assert new in flat(to_dict(preset("point_maze"))), f"{new} exists"
 
 
 def test_bad_settings_name_the_fix():
     for changes, words in (
         ({"method": "magic"}, "choose one of: sparse, ddl, offpolicy_ddl, ours"),
-        ({"agent": "td3"}, "choose one of: sac, ddpg"),
+        ({"distance.head": "mlq"}, "unknown head 'mlq'; choose one of: mlp, quasimetric"),
         ({"batch_size": 0}, "batch_size is 0; it must lie between 1"),
-        ({"uncertainty_scale": 0.0}, "uncertainty_scale is 0.0"),
-        ({"visit_bits": 99}, "between 1 and 62"),
+        ({"uncertainty.scale": 0.0}, "scale is 0.0"),
+        ({"counts.visit_bits": 99}, "visit_bits is 99; it must lie between 1 and 62"),
         ({"seed": -1}, "seed is -1"),
-        ({"discount": 1.0}, "discount is 1.0"),
-        ({"epsilon": float("nan")}, "epsilon is nan"),
+        ({"policy.discount": 1.0}, "discount is 1.0"),
+        ({"explore.epsilon": float("nan")}, "epsilon is nan"),
+        ({"her.relabel_ratio": 0.8, "her.other_goals_ratio": 0.3}, "exceed 1 together"),
         ({"hidden": ()}, "at least one width"),
         ({"n_episodes": 4}, "must exceed the 4 warm-up episodes"),
+        ({"counts.colour": 1}, "there is no option 'colour' in CountConfig"),
+        ({"colour": 1}, "there is no option 'colour' in TrainConfig"),
     ):
         with pytest.raises(UserError, match=words):
             tiny(**changes)
+    for changes, words in (({"policy.agent": "td3"}, "sac, ddpg"), ({"distance.loss": "cubic"}, "squared")):
+        with pytest.raises(UserError, match=f"choose one of: {words}"):
+            new_learner(tiny(**changes), [envs.make("point_maze")])
     with pytest.raises(UserError, match="does not fit this version"):
-        from_dict({**tiny().to_dict(), "colour": 1})
+        from_dict({**to_dict(tiny()), "colour": 1})
+
+
+def numbers(config, prefix=""):
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from numbers(value, f"{field.name}.")
+        elif "int" in str(field.type).replace("tuple[int, ...]", "") or "float" in str(field.type):
+            yield prefix + field.name
 
 
 def test_every_number_has_a_range():
-    numbers = {f.name for f in dataclasses.fields(TrainConfig) if "int" in str(f.type) or "float" in str(f.type)}
-    assert numbers - {"hidden"} == set(RANGES)
-    for name, (low, _) in RANGES.items():
-        with pytest.raises(UserError, match=f"{name} is"):
-            tiny(**{name: low - 1})
+    for name in numbers(TrainConfig()):
+        for value in (-1, float("nan")):
+            with pytest.raises(UserError, match=f"{name.rpartition('.')[2]} is {value}"):
+                changed(TrainConfig(), {name: value})
 
 
-def test_hash_ignores_the_seed_only():
-    assert tiny(seed=1).hash() == tiny(seed=2).hash() != tiny(discount=0.9).hash()
+def test_the_identity_is_the_difference_from_the_defaults():
+    assert preset("fetch_wall").identity() == {"env": "fetch_wall", "method": "ours"}
+    changes = {"counts.goal_cell": 0.5, "hidden": (8, 8)}
+    assert preset("fetch_wall", seed=3, changes=changes).identity() == {
+        "env": "fetch_wall", "method": "ours", "counts.goal_cell": 0.5, "hidden": [8, 8],
+    }  # fmt: skip
+    assert tiny(seed=1).digest() == tiny(seed=2).digest() != tiny(**{"policy.discount": 0.9}).digest()
+    assert from_dict(to_dict(tiny())) == tiny()
+
+
+def test_the_loop_is_algorithm_1(tmp_path, monkeypatch):
+    """The order of the lines, what each is handed, and that D_last joins D at the end."""
+    calls = []
+
+    def recording(owner, name):
+        function = getattr(owner, name)
+
+        def call(self, *arguments):
+            size = len(self.buffer) if isinstance(self, Learner) else None
+            calls.append((name, arguments[0] if arguments else None, size))
+            return function(self, *arguments)
+
+        monkeypatch.setattr(owner, name, call)
+
+    for name in ("train_temporal", "update_target", "train_triangular", "train_policy", "extend_buffer"):
+        recording(Learner, name)
+    recording(CountModel, "update")
+    recording(Run, "collect")
+    train(tiny(n_episodes=8), tmp_path)
+    names = [name for name, *_ in calls]
+    iteration = ["collect", "update", "train_temporal", "update_target", "train_triangular", "train_policy"]
+    assert names == ["update", *[*iteration, "extend_buffer"] * 2], "the first counts the warm-up"
+    for first in (1, 8):
+        recent = [argument for name, argument, _ in calls[first + 1 : first + 7] if argument is not None]
+        assert all(argument is recent[0] for argument in recent) and len(recent) == 4 and len(recent[0]) == 2
+    assert {size for *_, size in calls[3:8] if size is not None} == {4}
+    assert {size for *_, size in calls[10:15] if size is not None} == {6}
+
+
+def test_methods_leave_out_the_lines_they_lack(tmp_path, monkeypatch):
+    done = []
+    for name in ("train_temporal", "update_target", "train_triangular"):
+        monkeypatch.setattr(Learner, name, lambda self, *_, name=name: done.append(name) or {})
+    for method, lines in (
+        ("sparse", []),
+        ("ddl", ["train_temporal", "update_target"]),
+        ("offpolicy_ddl", ["train_temporal", "update_target"]),
+        ("ours", ["train_temporal", "update_target", "train_triangular"]),
+    ):
+        done.clear()
+        train(tiny(method=method, n_episodes=6), tmp_path / method)
+        assert done == lines

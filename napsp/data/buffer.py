@@ -68,10 +68,10 @@ def sample_pairs(
 
     With ``sparse_reward`` the steps between them end where it first finds the goal phi(s_j) reached.
     """
-    horizon = episodes.actions.shape[1]
+    length = episodes.actions.shape[1]
     episode = rng.integers(len(episodes), size=n)
-    first = rng.integers(horizon + 1, size=n)
-    second = rng.integers(horizon, size=n)
+    first = rng.integers(length + 1, size=n)
+    second = rng.integers(length, size=n)
     second += second >= first  # a uniform ordered pair without equal indices
     i, j = np.minimum(first, second), np.maximum(first, second)
     goals = episodes.achieved_goals[episode, j]
@@ -104,9 +104,9 @@ def _first_arrivals(
 
 def sample_triples(recent: Episodes, everything: Episodes, n: int, rng: np.random.Generator) -> Triples:
     """Draw n triples: s_i and its episode's desired goal from D_last, s_j from D."""
-    horizon = recent.actions.shape[1]
-    episode, i = rng.integers(len(recent), size=n), rng.integers(horizon, size=n)
-    other, j = rng.integers(len(everything), size=n), rng.integers(horizon, size=n)
+    length = recent.actions.shape[1]
+    episode, i = rng.integers(len(recent), size=n), rng.integers(length, size=n)
+    other, j = rng.integers(len(everything), size=n), rng.integers(length, size=n)
     return Triples(
         observations=recent.observations[episode, i],
         actions=recent.actions[episode, i],

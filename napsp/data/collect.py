@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,32 @@ import torch
 from napsp.data.episodes import Episodes
 from napsp.envs.check import check_finite
 from napsp.policy.actors import Policy
+from napsp.settings import MANY, check_ranges
+
+
+@dataclass(frozen=True)
+class ExplorationConfig:
+    """What training episodes do beside following the policy."""
+
+    epsilon: float = 0.28
+    """Share of steps with a random action instead of the policy's (the paper: 0.1 or 0.3)."""
+    hold: int = 6
+    """A random action is held for 1 to this many steps, each number as likely; 1 is plain epsilon exploration."""
+    held_starts: float = 0.0
+    """Share of training episodes that begin with the box in the gripper (pick and place only)."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, epsilon=(0, 1), hold=(1, MANY), held_starts=(0, 1))
+
+    @property
+    def start_chance(self) -> float:
+        """Chance per step, outside random actions, that one starts: ``epsilon`` is the share it comes to.
+
+        Stretches of the policy last 1 / chance - 1 steps in the mean, random ones (1 + hold) / 2.
+        """
+        length = 0.5 * (1 + self.hold)
+        return self.epsilon / (length - self.epsilon * (length - 1.0))
+
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps observations ``(E, O)`` and goals ``(E, G)`` to actions ``(E, A)`` in [-1, 1]."""
@@ -21,10 +48,10 @@ def roll(
     envs: list[gymnasium.Env],
     actor: Actor,
     seeds: list[int],
-    horizon: int,
+    length: int,
     options: Sequence[dict[str, Any] | None] | None = None,
 ) -> Episodes:
-    """Run one episode of ``horizon`` steps in each environment, in lockstep; ``options`` are its reset's.
+    """Run one episode of ``length`` steps in each environment, in lockstep; ``options`` are its reset's.
 
     Raises:
         UserError: an environment observed numbers that are not finite.
@@ -32,16 +59,16 @@ def roll(
     resets = zip(envs, seeds, options or [None] * len(envs), strict=True)
     starts = [env.reset(seed=seed, options=chosen)[0] for env, seed, chosen in resets]
     n, spaces = len(envs), envs[0].observation_space.spaces  # type: ignore[attr-defined]
-    observations = np.empty((n, horizon + 1, *spaces["observation"].shape), np.float32)
-    achieved = np.empty((n, horizon + 1, *spaces["achieved_goal"].shape), np.float32)
+    observations = np.empty((n, length + 1, *spaces["observation"].shape), np.float32)
+    achieved = np.empty((n, length + 1, *spaces["achieved_goal"].shape), np.float32)
     goals = np.stack([start["desired_goal"] for start in starts]).astype(np.float32)
-    actions = np.empty((n, horizon, *envs[0].action_space.shape), np.float32)  # type: ignore[misc]
+    actions = np.empty((n, length, *envs[0].action_space.shape), np.float32)  # type: ignore[misc]
     current = starts
-    for t in range(horizon + 1):
+    for t in range(length + 1):
         for e, values in enumerate(current):
             observations[e, t] = values["observation"]
             achieved[e, t] = values["achieved_goal"]
-        if t == horizon:
+        if t == length:
             break
         actions[:, t] = actor(observations[:, t], goals)
         current = [env.step(actions[e, t])[0] for e, env in enumerate(envs)]
@@ -53,22 +80,20 @@ def roll(
 class ExploringActor:
     """A policy whose actions are now and then replaced by random ones, held for a while.
 
-    With ``hold=1`` this is epsilon exploration: each step is random with chance ``epsilon``.
-    With longer holds a random action *starts* with that chance. ``policy=None`` acts at
-    random all the time, held in the same way.
+    ``policy=None`` acts at random all the time, held in the same way.
     """
 
     def __init__(
         self,
         policy: Policy | None,
         action_size: int,
-        epsilon: float,
-        hold: int,
+        config: ExplorationConfig,
         rng: np.random.Generator,
         generator: torch.Generator,
     ) -> None:
         self._policy, self._action_size = policy, action_size
-        self._epsilon, self._hold = epsilon, hold
+        self._chance = 1.0 if policy is None else config.start_chance
+        self._hold = config.hold
         self._rng, self._generator = rng, generator
         self._random = np.empty(0)
         self._steps_left = np.zeros(0, np.int64)
@@ -79,8 +104,7 @@ class ExploringActor:
         if len(self._steps_left) != n:
             self._steps_left = np.zeros(n, np.int64)
             self._random = np.zeros((n, self._action_size), np.float32)
-        chance = 1.0 if self._policy is None else self._epsilon
-        start = (self._steps_left == 0) & (self._rng.random(n) < chance)
+        start = (self._steps_left == 0) & (self._rng.random(n) < self._chance)
         self._steps_left[start] = self._rng.integers(1, self._hold + 1, start.sum())
         self._random[start] = self._rng.uniform(-1.0, 1.0, (start.sum(), self._action_size))
         random = self._steps_left > 0
@@ -88,6 +112,7 @@ class ExploringActor:
         if self._policy is None:
             return self._random.copy()
         with torch.inference_mode():
-            inputs = torch.from_numpy(observations), torch.from_numpy(goals)
-            actions = self._policy.explore(*inputs, self._generator).numpy()
+            device = self._policy.scaling.goal_mean.device
+            inputs = (torch.from_numpy(rows).to(device) for rows in (observations, goals))
+            actions = self._policy.explore(*inputs, self._generator).cpu().numpy()
         return np.where(random[:, None], self._random, actions)

@@ -9,6 +9,20 @@ import numpy as np
 
 from napsp.data.collect import Actor, roll
 from napsp.data.episodes import Episodes, concatenate
+from napsp.settings import MANY, check_ranges
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """Evaluations during training."""
+
+    every: int = 50
+    """Episodes between evaluations; each one also writes a checkpoint."""
+    n_episodes: int = 20
+    """Episodes per evaluation, on goals that all methods and seeds share."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, every=(1, MANY), n_episodes=(1, MANY))
 
 
 @dataclass(frozen=True)
@@ -48,11 +62,11 @@ def outcomes(env: gymnasium.Env, episodes: Episodes) -> Outcomes:
     return Outcomes(reached, np.linalg.norm(achieved - goals, axis=-1))
 
 
-def evaluate(envs: list[gymnasium.Env], actor: Actor, seeds: list[int], horizon: int) -> tuple[Outcomes, Episodes]:
+def evaluate(envs: list[gymnasium.Env], actor: Actor, seeds: list[int], length: int) -> tuple[Outcomes, Episodes]:
     """Run one episode per seed with a deterministic actor."""
     parts = []
     for start in range(0, len(seeds), len(envs)):
         chunk = seeds[start : start + len(envs)]
-        parts.append(roll(envs[: len(chunk)], actor, chunk, horizon))
+        parts.append(roll(envs[: len(chunk)], actor, chunk, length))
     episodes = concatenate(parts)
     return outcomes(envs[0], episodes), episodes

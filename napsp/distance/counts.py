@@ -1,61 +1,82 @@
 """Count models N(s, a) and N(s, a, g) by locality-sensitive hashing (paper, section 4.2).
 
-SimHash (Tang et al. 2017): the signs of k random projections of the centred and scaled
-input are a k-bit key. Keys are stored exactly, never in a shared table, so "never seen" -
-the N = 0 that switches the triangular loss - has no false negatives from collisions of slots.
+N(s, a): SimHash (Tang et al. 2017) - the signs of k random projections of the centred and scaled input are its key.
+
+N(s, a, g) decides where eq. 4b applies, so its key has two parts, each with its own resolution: a SimHash of (s, a),
+and the cell of g in a randomly shifted lattice (Datar et al. 2004). One SimHash of all three together calls goals
+reached that nobody came near: the goal is a few of many inputs, and its cells are as wide as the space. Near the border
+of a cell a lattice errs the other way, so there are several, and the largest of their counts is N.
+
+Keys are stored exactly, never in a shared table, so "never seen" has no false negatives from collisions of slots.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from napsp.data.episodes import Episodes
 from napsp.scaling import Scaling
+from napsp.settings import MANY, TINY, check_ranges
 
-RECOUNT_CHUNK = 200  # episodes; the keys of their pairs i < j fill 2 MB at T = 50, 400 MB at T = 700
+RECOUNT_CHUNK = 200  # episodes; the keys of their pairs i < j fill 4 MB at T = 50, 800 MB at T = 700
 
 
-class HashedCounts:
-    """Counts of SimHash keys, kept sorted for exact look-up.
+@dataclass(frozen=True)
+class CountConfig:
+    """Resolution of the counts; inputs are in standard deviations."""
+
+    visit_bits: int = 16
+    """SimHash bits of N(s, a)."""
+    pair_bits: int = 12
+    """SimHash bits of (s, a) in the key of N(s, a, g)."""
+    goal_cell: float = 0.3
+    """Edge of the goal's cells in N(s, a, g), in standard deviations, times the root of the goal's size: in more
+    dimensions the same distance is a smaller step along each."""
+    n_lattices: int = 2
+    """Shifted lattices of goals; N(s, a, g) is the largest of their counts."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, visit_bits=(1, 62), pair_bits=(1, 62), goal_cell=(TINY, MANY), n_lattices=(1, 100))
+
+
+@dataclass(frozen=True)
+class UncertaintyConfig:
+    """U = C / (1 + N(s, a))^M, eq. 2."""
+
+    scale: float = 10.0
+    """C, in steps."""
+    power: float = 0.5
+    """M."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, scale=(TINY, MANY), power=(TINY, 100))
+
+    def __call__(self, visits: np.ndarray) -> np.ndarray:
+        """U in steps for N(s, a) of any shape."""
+        return uncertainty(visits, self.scale, self.power)
+
+
+def uncertainty(visits: np.ndarray, scale: float, power: float) -> np.ndarray:
+    """U = C / (1 + N(s, a))^M in steps (eq. 2); ``visits`` any shape."""
+    return scale / (1.0 + visits) ** power
+
+
+class KeyCounts:
+    """Counts of integer keys, kept sorted for exact look-up.
 
     Args:
-        projection: ``(input_size + 1, n_bits)``; see :meth:`drawn`.
         keys: ascending, ``(K,)``.
         counts: of the keys, ``(K,)``.
     """
 
-    def __init__(
-        self, projection: np.ndarray, keys: np.ndarray | None = None, counts: np.ndarray | None = None
-    ) -> None:
-        self.projection = projection
+    def __init__(self, keys: np.ndarray | None = None, counts: np.ndarray | None = None) -> None:
         self.keys = np.empty(0, np.int64) if keys is None else keys
         self.counts = np.empty(0, np.int64) if counts is None else counts
 
-    @classmethod
-    def drawn(cls, input_size: int, n_bits: int, rng: np.random.Generator) -> HashedCounts:
-        """No counts yet, and a random projection."""
-        # One extra constant input makes the cuts affine: without it all inputs on a ray
-        # from the centre share a key.
-        return cls(rng.standard_normal((input_size + 1, n_bits)))
-
-    def key(self, inputs: np.ndarray) -> np.ndarray:
-        """Keys ``(...)`` of scaled inputs ``(..., input_size)``."""
-        return _packed(inputs @ self.projection[:-1] + self.projection[-1])
-
-    def joint_keys(self, first: np.ndarray, second: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        """Keys ``(P,)`` of the inputs ``[first[i], second[j]]`` for P index pairs, joined after projecting each once.
-
-        A long episode has far more pairs than states.
-        """
-        split = first.shape[-1]
-        left, right = first @ self.projection[:split], second @ self.projection[split:-1] + self.projection[-1]
-        return _packed(left[i] + right[j])
-
-    def add(self, inputs: np.ndarray) -> None:
-        """Count every row of ``(B, input_size)`` once."""
-        self.add_keys(self.key(inputs))
-
-    def add_keys(self, keys: np.ndarray) -> None:
+    def add(self, keys: np.ndarray) -> None:
         """Count every key of ``(B,)`` once."""
         keys, counts = np.unique(keys, return_counts=True)
         places = np.searchsorted(self.keys, keys)
@@ -66,92 +87,161 @@ class HashedCounts:
         self.keys = np.insert(self.keys, places[~known], keys[~known])
         self.counts = np.insert(self.counts, places[~known], counts[~known])
 
-    def count(self, inputs: np.ndarray) -> np.ndarray:
-        """How often inputs with the same key were added, ``(B,)``; 0 if never."""
+    def count(self, keys: np.ndarray) -> np.ndarray:
+        """How often keys ``(B,)`` were added; 0 if never."""
         if not len(self.keys):
-            return np.zeros(len(inputs), np.int64)
-        keys = self.key(inputs)
+            return np.zeros(len(keys), np.int64)
         places = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
         return np.where(self.keys[places] == keys, self.counts[places], 0)
 
+    def clear(self) -> None:
+        """Forget everything."""
+        self.keys, self.counts = np.empty(0, np.int64), np.empty(0, np.int64)
+
+
+class SimHash:
+    """Signs of random affine projections as an integer key.
+
+    Args:
+        projection: ``(input_size + 1, n_bits)``. The last row is a constant input's, which makes the cuts affine:
+            without it all inputs on a ray from the centre share a key.
+    """
+
+    def __init__(self, projection: np.ndarray) -> None:
+        self.projection = projection
+
+    @classmethod
+    def drawn(cls, used: np.ndarray, n_bits: int, rng: np.random.Generator) -> SimHash:
+        """A random projection of the inputs that are ``used``, bool ``(input_size,)``; the others do not enter."""
+        projection = rng.standard_normal((len(used) + 1, n_bits))
+        projection[:-1][~used] = 0.0
+        return cls(projection)
+
+    def __call__(self, inputs: np.ndarray) -> np.ndarray:
+        """Keys ``(...)`` of inputs ``(..., input_size)``."""
+        signs = inputs @ self.projection[:-1] + self.projection[-1] > 0
+        packed = np.packbits(signs, axis=-1, bitorder="little")
+        filled = np.zeros((*packed.shape[:-1], 8), np.uint8)
+        filled[..., : packed.shape[-1]] = packed
+        return filled.view("<i8")[..., 0].astype(np.int64)
+
+
+class ReachedTable:
+    """Counts of (s, a, g) for one SimHash of (s, a) and one lattice of goals.
+
+    A key is a sum, modulo 2^64, of random odd multiples of the pair's key and of the cell's numbers: two different ones
+    coincide with a chance of 2^-63, and the keys of all pairs of a long episode cost one addition each.
+
+    Args:
+        pair: key of (s, a).
+        shift: of the lattice, in cells, ``(G,)``.
+        multipliers: odd int64 ``(G + 1,)``, the pair's first.
+        edge: of a cell, in standard deviations.
+    """
+
+    def __init__(self, pair: SimHash, shift: np.ndarray, multipliers: np.ndarray, edge: float) -> None:
+        self.pair, self.shift, self.multipliers, self.edge = pair, shift, multipliers, edge
+        self.table = KeyCounts()
+
+    @classmethod
+    def drawn(cls, used: np.ndarray, n_goal: int, config: CountConfig, rng: np.random.Generator) -> ReachedTable:
+        """A random one; ``used`` as in :meth:`SimHash.drawn`."""
+        multipliers = rng.integers(-(2**62), 2**62, n_goal + 1) * 2 + 1
+        pair = SimHash.drawn(used, config.pair_bits, rng)
+        return cls(pair, rng.uniform(size=n_goal), multipliers, config.goal_cell * n_goal**0.5)
+
+    def pair_part(self, pairs: np.ndarray) -> np.ndarray:
+        """What (s, a) adds to a key, ``(...)`` for scaled inputs ``(..., O + A)``."""
+        return self.pair(pairs) * self.multipliers[0]
+
+    def goal_part(self, goals: np.ndarray) -> np.ndarray:
+        """What g adds to a key, ``(...)`` for scaled goals ``(..., G)``."""
+        cells = np.floor(goals / self.edge + self.shift).astype(np.int64)
+        return (cells * self.multipliers[1:]).sum(-1)
+
 
 class CountModel:
-    """N(s, a) and N(s, a, g), fed with whole episodes; and U of eq. 2.
+    """N(s, a) and N(s, a, g), fed with whole episodes.
 
-    ``scaling`` maps raw (observation, goal) to centred, scaled ones and must stay fixed
-    while counts exist: a key that moves loses its history. :meth:`recount` changes it.
+    ``scaling`` maps raw (observation, goal) to centred, scaled ones and must stay fixed while counts exist: a key that
+    moves loses its history. :meth:`recount` changes it.
+
+    Args:
+        sizes: of observation, action and goal.
+        config: resolutions.
+        scaling: see above.
+        rng: draws the hashes.
+        used_actions: which numbers of an action change anything, bool ``(A,)``; None is all. The others would tell
+            apart what is the same.
     """
 
     def __init__(
         self,
         sizes: tuple[int, int, int],
-        visit_bits: int,
-        reached_bits: int,
+        config: CountConfig,
         scaling: Scaling,
         rng: np.random.Generator,
+        used_actions: np.ndarray | None = None,
     ) -> None:
         n_observation, n_action, n_goal = sizes
+        acting = np.ones(n_action, bool) if used_actions is None else used_actions
+        used = np.concatenate([np.ones(n_observation, bool), acting])
         self.scaling = scaling
-        self.visit_table = HashedCounts.drawn(n_observation + n_action, visit_bits, rng)
-        self.reached_table = HashedCounts.drawn(n_observation + n_action + n_goal, reached_bits, rng)
+        self.visit_hash, self.visit_table = SimHash.drawn(used, config.visit_bits, rng), KeyCounts()
+        self.reached_tables = [ReachedTable.drawn(used, n_goal, config, rng) for _ in range(config.n_lattices)]
 
     def update(self, episodes: Episodes) -> None:
         """Count every visited (s_i, a_i) and every (s_i, a_i, phi(s_j)) with j > i.
 
         Algorithm 1, line 4. Each pair i < j of an episode counts once.
         """
-        n_episodes, horizon = episodes.actions.shape[:2]
-        pairs = self._pairs(episodes.observations[:, :-1], episodes.actions)
-        self.visit_table.add(pairs.reshape(n_episodes * horizon, -1))
+        pairs = scaled_pairs(self.scaling, episodes.observations[:, :-1], episodes.actions)
+        self.visit_table.add(self.visit_hash(pairs).ravel())
         goals = self.scaling.goal(episodes.achieved_goals)
-        first, later = np.triu_indices(horizon + 1, k=1)
-        keys = [self.reached_table.joint_keys(*episode, first, later) for episode in zip(pairs, goals, strict=True)]
-        self.reached_table.add_keys(np.concatenate(keys))
+        first, later = np.triu_indices(goals.shape[1], k=1)
+        for table in self.reached_tables:
+            starts, ends = table.pair_part(pairs), table.goal_part(goals)
+            table.table.add((starts[:, first] + ends[:, later]).ravel())
 
     def recount(self, episodes: Episodes, scaling: Scaling) -> None:
         """Count all episodes again under another scaling."""
         self.scaling = scaling
-        for table in (self.visit_table, self.reached_table):
-            table.keys, table.counts = np.empty(0, np.int64), np.empty(0, np.int64)
+        for table in self.tables():
+            table.clear()
         for start in range(0, len(episodes), RECOUNT_CHUNK):
             self.update(episodes[start : start + RECOUNT_CHUNK])
 
     def visits(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """N(s, a), ``(B,)``."""
-        return Visits(self.visit_table, self.scaling)(observations, actions)
+        return self.visit_counts(observations, actions)
+
+    @property
+    def visit_counts(self) -> VisitCounts:
+        """N(s, a) alone, as a model file keeps it."""
+        return VisitCounts(self.visit_hash, self.visit_table, self.scaling)
 
     def reached(self, observations: np.ndarray, actions: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """N(s, a, g), ``(B,)``: how often g was reached later in an episode through (s, a)."""
-        pairs = self._pairs(observations, actions)
-        return self.reached_table.count(np.concatenate([pairs, self.scaling.goal(goals)], axis=-1))
+        pairs, goals = scaled_pairs(self.scaling, observations, actions), self.scaling.goal(goals)
+        counts = [table.table.count(table.pair_part(pairs) + table.goal_part(goals)) for table in self.reached_tables]
+        return np.max(counts, axis=0)
 
-    def _pairs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        return _pairs(self.scaling, observations, actions)
+    def tables(self) -> Sequence[KeyCounts]:
+        """All counts: N(s, a), then those of N(s, a, g)."""
+        return [self.visit_table, *(table.table for table in self.reached_tables)]
 
 
-class Visits:
+class VisitCounts:
     """N(s, a) alone: what of the counts a model file keeps for planning."""
 
-    def __init__(self, table: HashedCounts, scaling: Scaling) -> None:
-        self.table, self.scaling = table, scaling
+    def __init__(self, simhash: SimHash, table: KeyCounts, scaling: Scaling) -> None:
+        self.hash, self.table, self.scaling = simhash, table, scaling
 
     def __call__(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """N(s, a), ``(B,)``."""
-        return self.table.count(_pairs(self.scaling, observations, actions))
+        return self.table.count(self.hash(scaled_pairs(self.scaling, observations, actions)))
 
 
-def _packed(projected: np.ndarray) -> np.ndarray:
-    """Signs of ``(..., n_bits)`` numbers as the bits of integers ``(...)``."""
-    packed = np.packbits(projected > 0, axis=-1, bitorder="little")
-    filled = np.zeros((*packed.shape[:-1], 8), np.uint8)
-    filled[..., : packed.shape[-1]] = packed
-    return filled.view("<i8")[..., 0].astype(np.int64)
-
-
-def _pairs(scaling: Scaling, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+def scaled_pairs(scaling: Scaling, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    """What the hash of (s, a) reads, ``(..., O + A)``: the scaled observation and the action."""
     return np.concatenate([scaling.observation(observations), actions], axis=-1)
-
-
-def uncertainty(visits: np.ndarray, scale: float, power: float) -> np.ndarray:
-    """U = C / (1 + N(s, a))^M in steps (eq. 2); ``visits`` any shape."""
-    return scale / (1.0 + visits) ** power

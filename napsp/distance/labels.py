@@ -1,13 +1,47 @@
-"""The labels of eq. 4a and 4b, as pure functions, and the loss that fits d to them.
-
-Both equations are squared errors of d against a label. Errors are in units of T, so that
-learning rates do not depend on the episode length.
-"""
+"""The labels of eq. 4a and 4b, as pure functions, and their options."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal
+
 import torch
 from torch import Tensor
+
+from napsp.settings import MANY, check_choice, check_ranges
+
+
+@dataclass(frozen=True)
+class TemporalConfig:
+    """Labels of eq. 4a."""
+
+    first_arrival: bool = False
+    """Label a pair with the steps to the first state after s_i that the task counts as being at its goal,
+    not with j - i, which takes waiting at a goal for distance to it. Beyond the paper; not for sparse."""
+    ddl_window: int = 20
+    """Most recent episodes that the on-policy regression of ddl sees."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, ddl_window=(1, MANY))
+
+
+@dataclass(frozen=True)
+class TriangularConfig:
+    """Labels and weight of eq. 4b."""
+
+    weight: float = 1.0
+    """Weight of eq. 4b against eq. 4a; 1 is the paper's plain sum."""
+    mean: Literal["sampled", "passed"] = "sampled"
+    """Average eq. 4b over all sampled tuples (Algorithm 1: the others "do nothing") or over
+    those that pass the test (eq. 4b: a handful of tuples then weighs as much as a full batch)."""
+    cap: bool = True
+    """Clip the hypotenuse at the episode length T; without it the loss diverges."""
+    require_reached_waypoint: bool = True
+    """Algorithm 1, line 13: N(s_j, a_j, s_g) > 0. False follows the text of eq. 4b."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, weight=(0, MANY))
+        check_choice(self, mean=("sampled", "passed"))
 
 
 def temporal_label(steps_between: Tensor, target_steps: Tensor, uncertainty: Tensor) -> Tensor:
@@ -19,17 +53,3 @@ def hypotenuse(first_leg: Tensor, second_leg: Tensor, cap: float | None) -> Tens
     """d*(s_i, a_i, s_g) = d(s_i, a_i, s_j) + d(s_j, a_j, s_g), capped (eq. 3); ``(B,)``."""
     total = first_leg + second_leg
     return total if cap is None else total.clamp(max=cap)
-
-
-def squared_error(fractions: Tensor, labels: Tensor, n_sampled: int) -> tuple[Tensor, Tensor]:
-    """Sum of squared errors of d / T ``(B,)`` against labels / T, over ``n_sampled``.
-
-    Eq. 4a averages over the batch. Eq. 4b has only the tuples that passed the test as rows:
-    divided by all tuples drawn, the others count as "do nothing" (Algorithm 1, line 16);
-    divided by their own number it is the conditional expectation of eq. 4b.
-
-    Returns:
-        The loss and its gradient with respect to ``fractions`` ``(B,)``.
-    """
-    errors = fractions - labels
-    return errors.square().sum() / n_sampled, errors * (2.0 / n_sampled)

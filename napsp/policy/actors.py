@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from napsp.networks import InputScaling, mlp
+from napsp.networks import InputScaling, first_linear, joined_columns, mlp
 
 LOG_STD_RANGE = (-10.0, 2.0)
 
@@ -19,13 +20,21 @@ class Policy(nn.Module, ABC):
 
     def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...], outputs_per_action: int) -> None:
         super().__init__()
-        n_observation, self.n_actions, n_goal = sizes
+        n_observation, self.n_actions, n_goal = self._sizes = sizes
         self.scaling = InputScaling(n_observation, n_goal)
         self.net = mlp(n_observation + n_goal, hidden, outputs_per_action * self.n_actions)
 
     def forward(self, observation: Tensor, goal: Tensor) -> Tensor:
-        """Outputs of the network ``(B, outputs_per_action * A)``."""
-        return self.net(torch.cat(self.scaling(observation, goal), dim=-1))
+        """Outputs of the network ``(B, outputs_per_action * A)`` for raw rows ``(B, O)`` and ``(B, G)``."""
+        return self.outputs(*self.scaling(observation, goal))
+
+    def outputs(self, observation: Tensor, goal: Tensor) -> Tensor:
+        """The same for scaled rows."""
+        return self.net(torch.cat([observation, goal], dim=-1))
+
+    def readers(self) -> Iterator[tuple[nn.Linear, dict[str, slice]]]:
+        """See :class:`napsp.networks.Scaled`."""
+        yield first_linear(self.net), joined_columns(self._sizes[0], self._sizes[2])
 
     def mode(self, observation: Tensor, goal: Tensor) -> Tensor:
         """The deterministic action ``(B, A)``."""
@@ -45,7 +54,8 @@ class GaussianPolicy(Policy):
     def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
         """A sample of the policy ``(B, A)``."""
         outputs = self(observation, goal)
-        return squash(outputs, torch.randn((len(outputs), self.n_actions), generator=generator))[0]
+        noise = torch.randn((len(outputs), self.n_actions), generator=generator)
+        return squash(outputs, noise.to(outputs.device))[0]
 
 
 class DeterministicPolicy(Policy):
@@ -58,7 +68,7 @@ class DeterministicPolicy(Policy):
     def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
         """The action plus noise, clipped to [-1, 1] ``(B, A)``."""
         action = self.mode(observation, goal)
-        noise = torch.randn(action.shape, generator=generator)
+        noise = torch.randn(action.shape, generator=generator).to(action.device)
         return (action + self.action_noise * noise).clamp(-1.0, 1.0)
 
 

@@ -38,4 +38,4 @@ class GreedyPolicy:
 
 
 def _numpy(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().numpy()
+    return tensor.detach().cpu().numpy()

@@ -7,6 +7,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from napsp.data.episodes import Episodes, SparseReward
+from napsp.errors import UserError
+from napsp.settings import check_ranges
+
+
+@dataclass(frozen=True)
+class HERConfig:
+    """Goals of the policy's update; what is left keeps the goal it was collected for."""
+
+    relabel_ratio: float = 0.8
+    """Share of future goals, k / (k + 1); 0.8 is k = 4."""
+    other_goals_ratio: float = 0.0
+    """Share of goals taken from other episodes, desired and achieved ones in equal parts."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, relabel_ratio=(0, 1), other_goals_ratio=(0, 1))
+        if self.relabel_ratio + self.other_goals_ratio > 1:
+            raise UserError(
+                f"relabel_ratio {self.relabel_ratio} and other_goals_ratio {self.other_goals_ratio} exceed 1 together"
+            )
 
 
 @dataclass(frozen=True)
@@ -23,32 +42,31 @@ class Transitions:
 def sample_relabelled(
     episodes: Episodes,
     n: int,
-    relabel_ratio: float,
-    other_goals_ratio: float,
+    config: HERConfig,
     sparse_reward: SparseReward,
     rng: np.random.Generator,
 ) -> Transitions:
     """Draw n transitions; HER replaces the goal of a share of them.
 
-    Of ``relabel_ratio`` the new goal is "future": achieved at a step later than the
-    transition's start, its own next state included. Of ``other_goals_ratio`` it is what
+    Of ``config.relabel_ratio`` the new goal is "future": achieved at a step later than the
+    transition's start, its own next state included. Of ``config.other_goals_ratio`` it is what
     another episode wanted or achieved, which most often stays unreached: with future goals
     alone, the values of goals that ask for more than the episode did are never corrected
     downwards. ``sparse_reward(achieved_goals, goals)`` gives 0 / -1 rewards ``(n,)``.
     """
-    horizon = episodes.actions.shape[1]
-    episode, t = rng.integers(len(episodes), size=n), rng.integers(horizon, size=n)
-    future = rng.integers(t + 1, horizon + 1)
+    length = episodes.actions.shape[1]
+    episode, t = rng.integers(len(episodes), size=n), rng.integers(length, size=n)
+    future = rng.integers(t + 1, length + 1)
     goals = episodes.desired_goals[episode].copy()
     chance = rng.random(n)
-    relabel = chance < relabel_ratio
+    relabel = chance < config.relabel_ratio
     goals[relabel] = episodes.achieved_goals[episode[relabel], future[relabel]]
-    if other_goals_ratio:
-        other = np.flatnonzero(chance > 1.0 - other_goals_ratio)
+    if config.other_goals_ratio:
+        other = np.flatnonzero(chance > 1.0 - config.other_goals_ratio)
         wanted, achieved = other[::2], other[1::2]
         goals[wanted] = episodes.desired_goals[rng.integers(len(episodes), size=len(wanted))]
         goals[achieved] = episodes.achieved_goals[
-            rng.integers(len(episodes), size=len(achieved)), rng.integers(horizon + 1, size=len(achieved))
+            rng.integers(len(episodes), size=len(achieved)), rng.integers(length + 1, size=len(achieved))
         ]
     return Transitions(
         observations=episodes.observations[episode, t],

@@ -8,39 +8,83 @@ import math
 import torch
 from torch import Tensor
 
-from napsp.backprop import Adam, Backprop, flatten
-from napsp.compiled import compiled
-from napsp.config import TrainConfig
+from napsp.execution import Execution, descend, follow, mean
+from napsp.networks import rescale
 from napsp.policy.actors import GaussianPolicy, squash
-from napsp.policy.agent import PolicyBatch, critic_targets_range
+from napsp.policy.agent import PolicyBatch, PolicyConfig
 from napsp.policy.critic import Critic
+from napsp.scaling import Scaling
+
+Metrics = dict[str, Tensor]
 
 
 class SAC:
-    """Policy, twin critics with a slow copy, and the entropy weight alpha."""
+    """Policy, twin critics with a slow copy, and the entropy weight alpha.
 
-    def __init__(self, sizes: tuple[int, int, int], config: TrainConfig) -> None:
-        self.policy = GaussianPolicy(sizes, config.hidden)
-        self.critic = Critic(sizes, config.hidden, n_critics=2)
+    Args:
+        sizes: of observation, action and goal.
+        hidden: widths of the hidden layers.
+        config: settings.
+        lost_step: what one lost step costs in return, the unit of alpha's floor.
+        execution: device and so on.
+    """
+
+    def __init__(
+        self,
+        sizes: tuple[int, int, int],
+        hidden: tuple[int, ...],
+        config: PolicyConfig,
+        lost_step: float = 1.0,
+        execution: Execution | None = None,
+    ) -> None:
+        execution = execution or Execution()
+        self.device, self.config = execution.torch_device, config
+        self.policy = GaussianPolicy(sizes, hidden).to(self.device)
+        self.critic = Critic(sizes, hidden, n_critics=2).to(self.device)
         self.target_critic = copy.deepcopy(self.critic)
-        vectors = [flatten([network]) for network in (self.policy, self.critic, self.target_critic)]
-        self._critic_vector, self._target_vector = vectors[1:]
-        self.optimizers = {
-            "policy_optimizer": Adam(vectors[0], config.policy_learning_rate),
-            "critic_optimizer": Adam(vectors[1], config.policy_learning_rate),
-        }
-        self._policy = Backprop(self.policy.net, vectors[0])
-        self._critics = [Backprop(net, vectors[1]) for net in self.critic.nets]
-        self._targets = [Backprop(net, vectors[2]) for net in self.target_critic.nets]
-        self._min_log_alpha = math.log(config.min_entropy_weight)
         start = 0.1 if config.entropy_weight is None else config.entropy_weight
-        self.log_alpha = torch.tensor(float(start)).log()
+        self.log_alpha = torch.tensor(float(start), device=self.device).log().requires_grad_()
+        self.min_log_alpha = math.log(config.min_entropy_weight * lost_step)
+        self.target_entropy = -float(sizes[1])
+        self.optimizers = {
+            "policy_optimizer": execution.adam(self.policy.parameters(), config.learning_rate),
+            "critic_optimizer": execution.adam(self.critic.parameters(), config.learning_rate),
+        }
         if config.entropy_weight is None:
-            self.optimizers["alpha_optimizer"] = Adam(self.log_alpha, config.policy_learning_rate)
-        self._target_entropy = -float(sizes[1])
-        self._discount, self._polyak = config.discount, config.polyak
-        self._value_range = critic_targets_range(config)
-        self._step = compiled(self._gradient_step, config.compiled)
+            self.optimizers["alpha_optimizer"] = execution.adam([self.log_alpha], config.learning_rate)
+        self._critic_loss, self._policy_loss = execution.loss(critic_loss), execution.loss(policy_loss)
+        self._update = execution.update(self._update_once)
+
+    def train(self, transitions: PolicyBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
+        """Update everything once per batch of raw transitions ``(n * batch_size, .)``; figures to log.
+
+        There is no terminal flag: goal reaching goes on after success, and a time limit is not an end of the task.
+        """
+        noise = torch.randn((2, *transitions.actions.shape), generator=generator).to(self.device)
+        batches = transitions.scaled(self.policy.scaling).split(batch_size)
+        draws = noise.split(batch_size, dim=1)
+        rows = [self._update(*batch, draw) for batch, draw in zip(batches, draws, strict=True)]
+        return {name: mean([row[name] for row in rows]) for name in rows[0]}
+
+    def _update_once(self, *tensors: Tensor) -> Metrics:
+        """Critics, policy, alpha, target critics, from a scaled batch and the noise of two samples ``(2, B, A)``."""
+        batch, (next_noise, noise) = PolicyBatch(*tensors[:-1]), tensors[-1]
+        alpha = self.log_alpha.detach().exp()
+        loss, metrics = self._critic_loss(self, batch, next_noise, alpha)
+        descend(loss, self.optimizers["critic_optimizer"])
+        loss, log_density = self._policy_loss(self, batch, noise, alpha)
+        descend(loss, self.optimizers["policy_optimizer"])
+        if "alpha_optimizer" in self.optimizers:
+            descend(alpha_loss(self, log_density), self.optimizers["alpha_optimizer"])
+            with torch.no_grad():
+                self.log_alpha.clamp_(min=self.min_log_alpha)
+        follow(self.target_critic, self.critic, self.config.polyak)
+        return {**metrics, "entropy_weight": alpha}
+
+    def rescale(self, scaling: Scaling) -> None:
+        """Read inputs under another scaling, with the same actions and values."""
+        for network in (self.policy, self.critic, self.target_critic):
+            rescale(network, scaling)
 
     def networks(self) -> dict[str, torch.nn.Module]:
         """All networks by name."""
@@ -50,77 +94,26 @@ class SAC:
         """What else belongs to the agent's state."""
         return {"log_alpha": self.log_alpha}
 
-    @torch.no_grad()
-    def update(self, batch: PolicyBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """One update of critics, policy, alpha and target critics.
 
-        There is no terminal flag: goal reaching goes on after success, and a time limit is
-        not an end of the task.
-        """
-        noise = torch.randn((2 * len(batch.rewards), batch.actions.shape[1]), generator=generator)
-        return self._step(batch, noise)
-
-    def _gradient_step(self, batch: PolicyBatch, noise: Tensor) -> dict[str, Tensor]:
-        alpha, n = self.log_alpha.exp(), len(batch.rewards)
-        # The policy does not change before both of its passes are done, so they are one pass.
-        states = torch.cat([batch.next_observations, batch.observations])
-        outputs, tape = self._policy.forward(torch.cat([states, batch.goals.repeat(2, 1)], dim=1))
-        actions, log_density, log_std = squash(outputs, noise)
-        metrics = self._update_critics(batch, actions[:n], log_density[:n], alpha)
-        current = slice(n, None)
-        value_slope = self._value_slope(batch, actions[current])
-        outputs_slope = _outputs_slope(
-            outputs[current], actions[current], noise[current], log_std[current], value_slope, alpha
-        )
-        tape = tape.part(current)
-        slopes = self._policy.slopes(tape, outputs_slope)
-        self.optimizers["policy_optimizer"].update(self._policy.gradients(tape, slopes))
-        self._update_alpha(log_density[current])
-        self._target_vector.lerp_(self._critic_vector, self._polyak)
-        return {**metrics, "entropy_weight": alpha}
-
-    def _update_critics(
-        self, batch: PolicyBatch, next_actions: Tensor, log_density: Tensor, alpha: Tensor
-    ) -> dict[str, Tensor]:
-        inputs = torch.cat([batch.next_observations, next_actions, batch.goals], dim=1)
-        next_values = torch.minimum(*(target.forward(inputs)[0] for target in self._targets)).squeeze(1)
-        targets = batch.rewards + self._discount * (next_values - alpha * log_density)
-        targets = targets.clamp(*self._value_range).unsqueeze(1)
-        inputs = torch.cat([batch.observations, batch.actions, batch.goals], dim=1)
-        gradients = []
-        for critic in self._critics:
-            values, tape = critic.forward(inputs)
-            errors = values - targets
-            gradients += critic.gradients(tape, critic.slopes(tape, errors * (2.0 / len(errors))))
-        self.optimizers["critic_optimizer"].update(gradients)
-        return {"critic_loss": errors.square().mean(), "mean_value": targets.mean()}
-
-    def _value_slope(self, batch: PolicyBatch, actions: Tensor) -> Tensor:
-        """Return d min Q / d a ``(B, A)``: that of the critic with the smaller value, row by row."""
-        inputs = torch.cat([batch.observations, actions, batch.goals], dim=1)
-        (first, first_tape), (second, second_tape) = (critic.forward(inputs) for critic in self._critics)
-        chosen, width = (first < second).to(first.dtype), batch.observations.shape[1]
-        columns = slice(width, width + actions.shape[1])
-        first_slopes = self._critics[0].slopes(first_tape, chosen)
-        second_slopes = self._critics[1].slopes(second_tape, 1.0 - chosen)
-        return self._critics[0].input_slope(first_slopes, columns) + self._critics[1].input_slope(
-            second_slopes, columns
-        )
-
-    def _update_alpha(self, log_density: Tensor) -> None:
-        """Alpha falls while the policy's entropy exceeds the target, and rises below it."""
-        if "alpha_optimizer" in self.optimizers:
-            # The gradient of -log_alpha * (log pi + target entropy).
-            self.optimizers["alpha_optimizer"].update([-(log_density.mean() + self._target_entropy)])
-            self.log_alpha.clamp_(min=self._min_log_alpha)
+def critic_loss(sac: SAC, batch: PolicyBatch, noise: Tensor, alpha: Tensor) -> tuple[Tensor, Metrics]:
+    """Squared errors of both critics against r + discount * (min Q'(s', a') - alpha log pi(a')), a' ~ pi(s')."""
+    with torch.no_grad():
+        outputs = sac.policy.outputs(batch.next_observations, batch.goals)
+        actions, log_density, _ = squash(outputs, noise)
+        next_values = sac.target_critic.values(batch.next_observations, actions, batch.goals).amin(0)
+        targets = batch.rewards + sac.config.discount * (next_values - alpha * log_density)
+        targets = targets.clamp(*sac.config.values_range)
+    errors = (sac.critic.values(batch.observations, batch.actions, batch.goals) - targets).square()
+    return errors.mean(1).sum(), {"critic_loss": errors[-1].mean().detach(), "mean_value": targets.mean()}
 
 
-def _outputs_slope(
-    outputs: Tensor, actions: Tensor, noise: Tensor, log_std: Tensor, value_slope: Tensor, alpha: Tensor
-) -> Tensor:
-    """Gradient of mean(alpha * log pi(a) - min Q(a)), a = tanh(mean + std * noise), by the outputs ``(B, 2 A)``."""
-    # Before tanh: log pi grows by 2 tanh(u) du (the squashing), Q by Q'(a) (1 - tanh(u)^2) du.
-    mean_slope = (alpha * 2.0 * actions - value_slope * (1.0 - actions.square())) / len(actions)
-    log_std_slope = mean_slope * log_std.exp() * noise - alpha / len(actions)
-    inside = outputs[:, actions.shape[1] :] == log_std  # no gradient through the clamp
-    return torch.cat([mean_slope, log_std_slope * inside], dim=1)
+def policy_loss(sac: SAC, batch: PolicyBatch, noise: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean of alpha log pi(a) - min Q(s, a), a ~ pi(s); and log pi(a) ``(B,)``."""
+    actions, log_density, _ = squash(sac.policy.outputs(batch.observations, batch.goals), noise)
+    values = sac.critic.values(batch.observations, actions, batch.goals).amin(0)
+    return (alpha * log_density - values).mean(), log_density.detach()
+
+
+def alpha_loss(sac: SAC, log_density: Tensor) -> Tensor:
+    """Alpha falls while the policy's entropy exceeds the target, and rises below it."""
+    return -sac.log_alpha * (log_density.mean() + sac.target_entropy)

@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from napsp.config import TrainConfig, from_dict
-from napsp.distance.counts import HashedCounts, Visits
+from napsp.config import TrainConfig, from_dict, to_dict
+from napsp.distance.counts import KeyCounts, SimHash, VisitCounts
 from napsp.distance.network import DistanceNetwork
 from napsp.envs import canonical_name
 from napsp.errors import UserError
 from napsp.policy.actors import DeterministicPolicy, GaussianPolicy, Policy
 from napsp.storage.files import FORMAT, read_tensors, write_tensors
+from napsp.storage.older import todays
 from napsp.storage.revision import git_revision
 
 MODEL_FILE = "model.safetensors"
@@ -39,7 +40,7 @@ class Model:
     policy: Policy
     config: TrainConfig
     header: dict[str, Any]
-    visits: Visits | None = None
+    visits: VisitCounts | None = None
 
     def check_sizes(self, env: Any) -> None:
         """Check that the model reads what ``env`` offers; a task of one's own may have changed since.
@@ -68,19 +69,20 @@ def save_model(
     config: TrainConfig,
     sizes: tuple[int, int, int],
     episodes: int,
-    visits: HashedCounts | None = None,
+    visits: VisitCounts | None = None,
 ) -> None:
     """Write what a planner or a robot needs: weights, scaling, configuration, and N(s, a) if given."""
     tensors = {f"policy.{name}": value for name, value in policy.state_dict().items()}
     if distance is not None:
         tensors |= {f"distance.{name}": value for name, value in distance.state_dict().items()}
     if visits is not None:
-        tensors |= {f"visits.{name}": torch.from_numpy(_narrow(getattr(visits, name))) for name in COUNT_TABLE}
+        parts = (visits.hash.projection, visits.table.keys, visits.table.counts)
+        tensors |= {f"visits.{name}": torch.from_numpy(_narrow(p)) for name, p in zip(COUNT_TABLE, parts, strict=True)}
     header = {
         "format": FORMAT,
         "kind": "model",
-        "config": config.to_dict(),
-        "config_hash": config.hash(),
+        "config": to_dict(config),
+        "episode_length": config.episode_length,
         "sizes": list(sizes),
         "episodes": episodes,
         "revision": git_revision(),
@@ -99,21 +101,22 @@ def load_model(path: str | Path, env: str) -> Model:
         path = SHIPPED / path.name
     if path.is_dir():
         path = path / MODEL_FILE
-    tensors, header = read_tensors(path, "model")
+    tensors, header = todays(*read_tensors(path, "model"))
     trained_on = header["config"]["env"]  # before anything else: a task of one's own may not be at hand any more
     if trained_on != canonical_name(env):
         raise UserError(f"{path} was trained on {trained_on}, not on {env}; give a checkpoint of {env}")
     config = from_dict(header["config"])
     sizes = tuple(header["sizes"])
     policy: Policy = GaussianPolicy(sizes, config.hidden)
-    if config.agent == "ddpg":
-        policy = DeterministicPolicy(sizes, config.hidden, config.action_noise)
-    distance = DistanceNetwork(sizes, config.hidden, config.horizon, config.distance_output)
+    if config.policy.agent == "ddpg":
+        policy = DeterministicPolicy(sizes, config.hidden, config.policy.action_noise)
+    length = int(header.get("episode_length", config.episode_length))
+    distance = DistanceNetwork(sizes, config.hidden, length, config.distance)
     has_distance = any(name.startswith("distance.") for name in tensors)
     _load(policy, "policy.", tensors, path)
     if has_distance:
         _load(distance, "distance.", tensors, path)
-    visits = _load_visits(tensors, sizes, config.visit_bits, policy, path)
+    visits = _load_visits(tensors, sizes, config.counts.visit_bits, policy, path)
     return Model(distance if has_distance else None, policy, config, header, visits)
 
 
@@ -128,7 +131,7 @@ def _narrow(array: np.ndarray) -> np.ndarray:
 
 def _load_visits(
     tensors: dict[str, Tensor], sizes: tuple[int, int, int], n_bits: int, policy: Policy, path: Path
-) -> Visits | None:
+) -> VisitCounts | None:
     if not any(name.startswith("visits.") for name in tensors):
         return None
     parts = [tensors.get(f"visits.{name}", torch.empty(0, dtype=torch.bool)) for name in COUNT_TABLE]
@@ -139,8 +142,9 @@ def _load_visits(
     fits = fits and bool((keys.diff() > 0).all() and (keys >= 0).all() and (keys < 2**n_bits).all())
     if not fits:
         raise UserError(f"{path} does not hold visit counts that fit its header; train it again")
-    table = HashedCounts(parts[0].numpy(), keys.numpy(), parts[2].long().numpy())
-    return Visits(table, policy.scaling.numbers())  # training counts under the networks' own scaling
+    table = KeyCounts(keys.numpy(), parts[2].long().numpy())
+    # Training counts under the networks' own scaling.
+    return VisitCounts(SimHash(parts[0].numpy()), table, policy.scaling.numbers())
 
 
 def _load(network: torch.nn.Module, prefix: str, tensors: dict[str, Tensor], path: Path) -> None:

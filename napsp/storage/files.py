@@ -13,7 +13,7 @@ from torch import Tensor
 
 from napsp.errors import UserError
 
-FORMAT = "napsp-1"
+FORMAT, OLDER = "napsp-2", "napsp-1"
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -61,6 +61,6 @@ def read_tensors(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
     except (SafetensorError, ValueError) as error:
         raise UserError(f"{path} is damaged or not a safetensors file ({error}); copy or train it again") from None
-    if not isinstance(header, dict) or header.get("format") != FORMAT or header.get("kind") != kind:
+    if not isinstance(header, dict) or header.get("format") not in (FORMAT, OLDER) or header.get("kind") != kind:
         raise UserError(f"{path} is not a napsp {kind} file; train one with: python -m napsp.train --env NAME")
     return tensors, header

@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 import torch
 
-from napsp.config import TrainConfig
-from napsp.presets import preset
+from napsp.config import PAPER, TrainConfig, preset, to_dict
+from napsp.settings import as_flags, differences
 from napsp.storage.files import write_atomically, write_json
 from napsp.storage.progress import Row
 
@@ -19,17 +19,11 @@ RECORD_FILE = "training.json"
 
 
 def command_line(config: TrainConfig) -> str:
-    """The command that repeats a run: the task, method and seed, and what differs from the preset."""
-    default = preset(config.env, method=config.method).to_dict()
-    words = ["python -m napsp.train", f"--env {config.env}", f"--method {config.method}", f"--seed {config.seed}"]
-    for name, value in config.to_dict().items():
-        if name not in ("env", "method", "seed") and value != default[name]:
-            flag = name.replace("_", "-")
-            if isinstance(value, bool):
-                words.append(f"--{flag}" if value else f"--no-{flag}")
-            else:
-                words.append(f"--{flag} {' '.join(map(str, value)) if isinstance(value, list) else value}")
-    return " ".join(words)
+    """The command that repeats a run: task, method, recipe and seed, and what differs from their defaults."""
+    default = preset(config.env, config.method, config.recipe, seed=config.seed)
+    words = f"python -m napsp.train --env {config.env} --method {config.method} --seed {config.seed}"
+    words += f" --recipe {config.recipe}" if config.recipe != PAPER else ""
+    return f"{words} {as_flags(differences(config, default))}".rstrip()
 
 
 def write_record(folder: Path, config: TrainConfig, rows: list[Row], revisions: list[str]) -> None:
@@ -39,8 +33,7 @@ def write_record(folder: Path, config: TrainConfig, rows: list[Row], revisions: 
         "command": command_line(config),
         "revision": ", ".join(revisions),
         "seed": config.seed,
-        "config_hash": config.hash(),
-        "config": config.to_dict(),
+        "config": to_dict(config),
         "episodes": rows[-1]["episodes"],
         "minutes": round(rows[-1]["seconds"] / 60, 2),
         "final": rows[-1],

@@ -1,0 +1,59 @@
+"""The parts of Algorithm 1 as a configuration describes them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from napsp.config import TrainConfig
+from napsp.data.buffer import EpisodeBuffer
+from napsp.data.episodes import Episodes, SparseReward
+from napsp.distance.counts import CountModel
+from napsp.distance.learned import LearnedDistance
+from napsp.errors import UserError
+from napsp.execution import Execution
+from napsp.learner import Learner, scaling_of
+from napsp.policy.agent import Agent
+from napsp.policy.ddpg import DDPG
+from napsp.policy.sac import SAC
+
+AGENTS: dict[str, type[SAC] | type[DDPG]] = {"sac": SAC, "ddpg": DDPG}
+
+
+def build_learner(
+    config: TrainConfig,
+    sizes: tuple[int, int, int],
+    warmup: Episodes,
+    sparse_reward: SparseReward,
+    rng: np.random.Generator,
+    generator: torch.Generator,
+    execution: Execution | None = None,
+    used_actions: np.ndarray | None = None,
+) -> Learner:
+    """The learner before iteration 0; ``warmup`` episodes seed D, the counts and the input scaling.
+
+    The networks draw their initial weights from torch's global generator.
+
+    Args:
+        config: all options.
+        sizes: of observation, action and goal.
+        warmup: random episodes.
+        sparse_reward: the task's own.
+        rng: draws hashes and samples.
+        generator: draws the agent's noise.
+        execution: device and so on.
+        used_actions: which numbers of an action change anything, bool ``(A,)``; None is all.
+    """
+    execution = execution or Execution()
+    if config.policy.agent not in AGENTS:
+        raise UserError(f"unknown policy.agent {config.policy.agent!r}; choose one of: {', '.join(AGENTS)}")
+    length, size = config.episode_length, config.batch_size
+    distance = LearnedDistance(sizes, config.hidden, length, size, config.distance, execution)
+    agent: Agent = AGENTS[config.policy.agent](sizes, config.hidden, config.policy, config.lost_step, execution)
+    scaling, buffer = scaling_of(warmup), EpisodeBuffer()
+    for network in (*distance.networks().values(), *agent.networks().values()):
+        network.scaling.set(scaling)  # type: ignore[operator, union-attr]
+    counts = CountModel(sizes, config.counts, scaling, rng, used_actions)
+    buffer.extend(warmup)
+    counts.update(warmup)
+    return Learner(config, distance, counts, agent, buffer, sparse_reward, rng, generator, len(warmup))

@@ -1,0 +1,211 @@
+"""The surroundings of Algorithm 1: environments, evaluation, saving, interruption, resuming."""
+
+from __future__ import annotations
+
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch
+
+from napsp import envs as tasks
+from napsp.config import TrainConfig
+from napsp.data.collect import ExplorationConfig, ExploringActor, roll
+from napsp.data.episodes import Episodes, concatenate
+from napsp.data.outcomes import evaluate
+from napsp.envs.actions import used_actions
+from napsp.errors import UserError
+from napsp.execution import Execution
+from napsp.learner import Learner
+from napsp.parts import build_learner
+from napsp.policy.greedy import GreedyPolicy
+from napsp.storage.checkpoint import MODEL_FILE, save_model, sizes_of
+from napsp.storage.progress import Progress, Row, read_rows
+from napsp.storage.record import RECORD_FILE, write_record
+from napsp.storage.resume import STATE_FILE, read_training, restore_training, save_training, warmup_episodes
+from napsp.storage.revision import git_revision
+
+EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
+
+
+@dataclass
+class Run:
+    """The surroundings of the loop: environments, evaluation, checkpoints, interruption."""
+
+    config: TrainConfig
+    execution: Execution
+    folder: Path
+    envs: list[Any]
+    sizes: tuple[int, int, int]
+    learner: Learner
+    iteration: int
+    progress: Progress
+    seconds_before: float
+    started: float
+    revisions: list[str]
+    interrupted: bool = False
+    _previous_handler: Any = signal.SIG_DFL
+    _previous_precision: str = "highest"
+
+    @classmethod
+    def open(cls, config: TrainConfig, folder: Path, restart: bool, tensorboard: bool, execution: Execution) -> Run:
+        """Start a run in ``folder`` or continue the one it holds."""
+        git_revision()  # now, not when the first checkpoint is written
+        envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
+        state = folder / STATE_FILE
+        if restart:
+            for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, "metrics.csv"):
+                (folder / name).unlink(missing_ok=True)
+        saved = read_training(state, config) if state.is_file() else None
+        if saved and saved[0]["buffer.observations"].shape[-1] != sizes_of(envs[0])[0]:
+            raise UserError(f"{folder} holds a run of another version of {config.env}; --restart begins anew")
+        warmup = warmup_episodes(saved[0], config) if saved else None
+        learner = new_learner(config, envs, warmup, execution)
+        iteration, rows, seconds, revisions = 0, [], 0.0, [git_revision()]
+        if saved:
+            iteration = restore_training(learner, *saved)
+            rows = read_rows(folder / "metrics.csv", len(learner.buffer))
+            seconds = saved[1]["seconds"]
+            revisions = list(dict.fromkeys([*saved[1]["revisions"], *revisions]))
+            print(f"continuing {folder} at episode {len(learner.buffer)}")
+        folder.mkdir(parents=True, exist_ok=True)
+        progress = Progress(folder, rows, tensorboard)
+        run = cls(
+            config,
+            execution,
+            folder,
+            envs,
+            sizes_of(envs[0]),
+            learner,
+            iteration,
+            progress,
+            seconds,
+            time.monotonic(),
+            revisions,
+        )
+        if iteration < run.n_iterations:
+            (folder / RECORD_FILE).unlink(missing_ok=True)  # it belongs to a shorter run
+        run._previous_handler = signal.signal(signal.SIGINT, run._interrupt)
+        run._previous_precision = torch.get_float32_matmul_precision()
+        torch.set_float32_matmul_precision(config.matmul_precision)
+        return run
+
+    @property
+    def n_iterations(self) -> int:
+        """Iterations of Algorithm 1, I."""
+        config = self.config
+        return max(0, -(-(config.n_episodes - config.n_warmup) // config.episodes_per_iteration))
+
+    def collect(self, policy: Any) -> Episodes:
+        """Algorithm 1, line 3: roll the exploring policy once in every environment."""
+        config, learner = self.config, self.learner
+        actor = ExploringActor(policy, self.sizes[1], config.explore, learner.rng, learner.generator)
+        seeds = [int(seed) for seed in learner.rng.integers(EVALUATION_SEED, size=len(self.envs))]
+        return roll(
+            self.envs, actor, seeds, config.episode_length, _starts(config.explore, len(self.envs), learner.rng)
+        )
+
+    def finish_iteration(self, iteration: int, metrics: Row) -> bool:
+        """Evaluate and save when due; return True to stop."""
+        config, done = self.config, len(self.learner.buffer)
+        seconds = self.seconds_before + time.monotonic() - self.started
+        session = (time.monotonic() - self.started) / max(1, iteration + 1 - self.iteration)
+        seconds_left = session * (self.n_iterations - iteration - 1)
+        self.progress.tick(done, config.n_episodes, seconds_left)
+        last = iteration == self.n_iterations - 1
+        due = done // config.evaluate.every > (done - config.episodes_per_iteration) // config.evaluate.every
+        if due or last:
+            timing = {"seconds": seconds, "steps_per_second": done * config.episode_length / seconds}
+            self.progress.report(
+                {"episodes": float(done), **self._evaluate(), **metrics, **timing, "minutes_left": seconds_left / 60}
+            )
+        if due or last or self.interrupted:
+            self._save(iteration + 1, seconds)
+        return self.interrupted
+
+    def _evaluate(self) -> Row:
+        config, actor = self.config, GreedyPolicy(self.learner.agent.policy)
+        seeds = [EVALUATION_SEED + i for i in range(config.evaluate.n_episodes)]
+        result, episodes = evaluate(self.envs, actor, seeds, config.episode_length)
+        row = {
+            "success_rate": result.success_rate,
+            "any_success_rate": result.any_success_rate,
+            "mean_gap": float(result.gaps[:, -1].mean()),
+            "max_reward": float(-result.gaps.min(1).mean()),  # the paper's: least distance to the goal, negated
+        }
+        at_goal = result.reached[:, -1]
+        if config.learns_distance and at_goal.any():
+            last, goals = episodes.observations[at_goal, -1], episodes.desired_goals[at_goal]
+            distance = self.learner.distance
+            row["distance_at_goal"] = float(distance.steps(distance.rows(last, actor(last, goals), goals)).mean())
+        return row
+
+    def _save(self, iteration: int, seconds: float) -> None:
+        learner = self.learner
+        save_training(self.folder / STATE_FILE, learner, iteration, seconds, self.revisions)
+        distance, visits = None, None
+        if self.config.learns_distance:
+            distance, visits = learner.distance.trusted, learner.counts.visit_counts
+        path, episodes = self.folder / MODEL_FILE, len(learner.buffer)
+        save_model(path, learner.agent.policy, distance, self.config, self.sizes, episodes, visits)
+
+    def _interrupt(self, signum: int, frame: FrameType | None) -> None:
+        if self.interrupted:
+            raise KeyboardInterrupt
+        self.interrupted = True
+        print("\nfinishing this iteration and saving; press Ctrl-C again to stop at once", flush=True)
+
+    def close(self) -> None:
+        """Release environments; say how to go on after an interruption."""
+        signal.signal(signal.SIGINT, self._previous_handler)
+        torch.set_float32_matmul_precision(self._previous_precision)
+        self.progress.close()
+        for env in self.envs:
+            env.close()
+        if self.interrupted:
+            print(f"saved in {self.folder}; the same command continues it")
+
+    def record(self) -> None:
+        """Write what describes the finished run, once."""
+        if not self.interrupted and not (self.folder / RECORD_FILE).is_file():
+            write_record(self.folder, self.config, self.progress.rows, self.revisions)
+
+
+def new_learner(
+    config: TrainConfig, envs: list[Any], warmup: Episodes | None = None, execution: Execution | None = None
+) -> Learner:
+    """The learner before iteration 0; collects the warm-up episodes unless they are given."""
+    torch.manual_seed(config.seed)  # initial weights
+    rng, generator = np.random.default_rng(config.seed), torch.Generator().manual_seed(config.seed)
+    if config.explore.held_starts and not getattr(envs[0].unwrapped, "grasps", False):
+        raise UserError(f"{config.env} has no box to hold; use --explore.held-starts 0")
+    if warmup is None:
+        warmup = warm_up(envs, config, rng, generator)
+    envs[0].reset(seed=config.seed)
+    used = used_actions(envs[0].unwrapped)
+    return build_learner(config, sizes_of(envs[0]), warmup, sparse_reward(envs[0]), rng, generator, execution, used)
+
+
+def warm_up(envs: list[Any], config: TrainConfig, rng: np.random.Generator, generator: torch.Generator) -> Episodes:
+    """Random episodes that seed D: line 22 comes last, so iteration 0 would find D empty."""
+    parts = []
+    n_actions, n = envs[0].action_space.shape[0], len(envs)
+    for _ in range(-(-config.n_warmup_episodes // n)):
+        actor = ExploringActor(None, n_actions, config.explore, rng, generator)
+        seeds = [int(seed) for seed in rng.integers(EVALUATION_SEED, size=n)]
+        parts.append(roll(envs, actor, seeds, config.episode_length, _starts(config.explore, n, rng)))
+    return concatenate(parts)
+
+
+def _starts(config: ExplorationConfig, n: int, rng: np.random.Generator) -> list[dict[str, bool]] | None:
+    """Reset options of n training episodes."""
+    return [{"box_held": bool(held)} for held in rng.random(n) < config.held_starts] if config.held_starts else None
+
+
+def sparse_reward(env: Any) -> Any:
+    """The task's own reward, for achieved goals and goals ``(n, G)``: 0 where reached, else -1 ``(n,)``."""
+    return lambda achieved, goals: np.asarray(env.unwrapped.compute_reward(achieved, goals, {}), np.float32)

@@ -1,0 +1,273 @@
+"""How updates are run changes rounding alone: compiled, in a CUDA graph, with other heads, under another scaling."""
+
+import numpy as np
+import pytest
+import torch
+from torch._dynamo.utils import counters
+
+from napsp.compiled import cpp_compiler
+from napsp.distance.learned import LearnedDistance
+from napsp.distance.losses import LOSSES, Labelled
+from napsp.distance.network import HEADS, DistanceConfig, DistanceNetwork
+from napsp.distance.quasimetric import interval_lengths
+from napsp.errors import UserError
+from napsp.execution import Execution, GraphedUpdate, descend, follow
+from napsp.networks import mlp, rescale
+from napsp.policy.actors import Policy
+from napsp.policy.agent import PolicyBatch, PolicyConfig
+from napsp.policy.ddpg import DDPG
+from napsp.policy.sac import SAC
+from napsp.scaling import Scaling
+
+SIZES, HIDDEN = (5, 2, 3), (32, 16)
+needs_compiler = pytest.mark.skipif(cpp_compiler() is None, reason="no C++ compiler")
+torch_warns_itself = pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated")  # in its own import
+
+
+def batch(n=64):
+    generator = torch.Generator().manual_seed(1)
+    rows = [torch.randn(n, size, generator=generator) for size in (5, 2, 5, 3)]
+    return PolicyBatch(rows[0], rows[1].tanh(), rows[2], rows[3], -torch.rand(n, generator=generator))
+
+
+def rows_of(transitions):
+    return torch.cat([transitions.observations, transitions.actions, transitions.goals], dim=1)
+
+
+def learned(execution=None, **options):
+    torch.manual_seed(0)
+    return LearnedDistance(SIZES, HIDDEN, 50, 64, DistanceConfig(**options), execution or Execution())
+
+
+def test_descending_moves_the_optimisers_own_network_only():
+    torch.manual_seed(0)
+    policy, critic = mlp(3, (8,), 2), mlp(2, (8,), 1)
+    before = [p.clone() for p in critic.parameters()]
+    optimizer = Execution().adam(policy.parameters(), 0.1)
+    losses = []
+    for _ in range(4):
+        loss = critic(policy(torch.ones(4, 3))).mean()
+        losses.append(float(loss.detach()))
+        descend(loss, optimizer)
+    assert losses == sorted(losses, reverse=True)
+    assert all(torch.equal(p, q) and p.grad is None for p, q in zip(critic.parameters(), before, strict=True))
+
+
+def test_a_slow_copy_moves_by_its_share():
+    network, target = mlp(2, (3,), 1), mlp(2, (3,), 1)
+    expected = [
+        0.75 * t.detach() + 0.25 * n.detach() for t, n in zip(target.parameters(), network.parameters(), strict=True)
+    ]
+    follow(target, network, 0.25)
+    for found, wanted in zip(target.parameters(), expected, strict=True):
+        torch.testing.assert_close(found.detach(), wanted)
+    follow(target, network, 1.0)
+    assert all(torch.equal(t, n) for t, n in zip(target.parameters(), network.parameters(), strict=True))
+
+
+def test_rescaling_inputs_keeps_every_function():
+    torch.manual_seed(0)
+    rng = np.random.default_rng(0)
+    first, second = (
+        Scaling.estimate(shift + spread * rng.standard_normal((99, 5)), shift + spread * rng.standard_normal((99, 3)))
+        for shift, spread in ((1.0, 2.0), (-0.5, 5.0))
+    )
+    transitions = batch()
+    distances = [learned(head=head, n_members=2).distance for head in HEADS]
+    agents = SAC(SIZES, HIDDEN, PolicyConfig()), DDPG(SIZES, HIDDEN, PolicyConfig(agent="ddpg"))
+    for network in (*distances, *(n for agent in agents for n in agent.networks().values())):
+        inputs = (transitions.observations, transitions.goals)
+        inputs = inputs if isinstance(network, Policy) else (inputs[0], transitions.actions, inputs[1])
+        network.scaling.set(first)
+        before = network(*inputs).detach()
+        rescale(network, second)
+        torch.testing.assert_close(network(*inputs).detach(), before, atol=1e-4, rtol=1e-4)
+        np.testing.assert_array_equal(network.scaling.numbers().goal_mean, second.goal_mean)
+
+
+def test_rescaling_parts_reaches_all_their_networks():
+    scaling = Scaling(np.full(5, 2.0, np.float32), np.full(5, 3.0, np.float32), *np.ones((2, 3), np.float32))
+    for part in (learned(), SAC(SIZES, HIDDEN, PolicyConfig()), DDPG(SIZES, HIDDEN, PolicyConfig())):
+        part.rescale(scaling)
+        for network in part.networks().values():
+            np.testing.assert_array_equal(network.scaling.numbers().observation_scale, 3.0)
+
+
+# -- heads and losses --
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"layer_norm": True}, {"n_members": 3}, {"head": "quasimetric"}, {"output": "softplus"},
+                {"head": "quasimetric", "n_members": 2, "layer_norm": True}],
+)  # fmt: skip
+def test_every_head_learns_labels_and_the_losses_need_not_know_which(options):
+    subject, rows = learned(learning_rate=3e-3, **options), rows_of(batch())
+    labels = 5.0 + 40.0 * torch.rand(64, generator=torch.Generator().manual_seed(0))
+    first = float(subject.fit(rows, labels, 64)[0])
+    for _ in range(300):
+        loss, predictions = subject.fit(rows, labels, 64)
+    assert float(loss) < 0.1 * first and predictions.shape == (64,)
+    torch.testing.assert_close(subject.steps(rows), subject.distance.fractions(rows).detach().clamp(0, 1) * 50)
+    assert not torch.equal(subject.target_steps(rows), subject.steps(rows))
+    assert (subject.distance.plain() is None) == bool(options.keys() - {"output"})
+
+
+def test_members_are_fitted_on_their_own():
+    subject, rows = learned(n_members=2), rows_of(batch())
+    alone = DistanceNetwork(SIZES, HIDDEN, 50)
+    alone.heads[0].load_state_dict(subject.distance.heads[1].state_dict())
+    optimizer = Execution().adam(alone.parameters(), 1e-3)
+    labels = 50 * torch.rand(64, generator=torch.Generator().manual_seed(0))
+    for _ in range(5):
+        subject.fit(rows, labels, 64)
+        descend(LOSSES["squared"](alone, Labelled(rows, labels, 64))[0], optimizer)
+    torch.testing.assert_close(subject.distance.members(rows)[1], alone.fractions(rows), atol=1e-6, rtol=1e-4)
+
+
+def test_interval_lengths_are_a_quasimetric():
+    generator = torch.Generator().manual_seed(0)
+    x, y, z = torch.randn(3, 500, 6, generator=generator)
+    there, on, through = interval_lengths(x, y), interval_lengths(y, z), interval_lengths(x, z)
+    assert (through <= there + on + 1e-5).all() and (there >= 0).all()
+    assert not interval_lengths(x, x).any() and (there != interval_lengths(y, x)).any()
+    points = torch.linspace(-5, 5, 20_001)[:, None]
+    for a, b in zip(x[:20], y[:20], strict=True):
+        covered = ((points >= a) & (points < torch.maximum(a, b))).any(1).float().mean() * 10.0
+        torch.testing.assert_close(interval_lengths(a, b), covered, atol=5e-3, rtol=0)
+
+
+def test_a_new_loss_is_a_function_and_a_line(monkeypatch):
+    def absolute(distance, labelled):
+        errors = (distance.members(labelled.rows) - labelled.labels / distance.episode_length).abs()
+        return errors.sum() / labelled.n_sampled, {"predictions": distance.fractions(labelled.rows).detach() * 50}
+
+    monkeypatch.setitem(LOSSES, "absolute", absolute)
+    subject, rows = learned(loss="absolute", learning_rate=3e-3), rows_of(batch())
+    labels = torch.where(rows[:, 0] > 0, 40.0, 10.0)
+    losses = [float(subject.fit(rows, labels, 64)[0]) for _ in range(200)]
+    assert losses[-1] < 0.3 * losses[0]
+
+
+# -- compiled and captured --
+
+
+def after_updates(kind, compiled):
+    torch.manual_seed(0)
+    agent = kind(SIZES, HIDDEN, PolicyConfig(agent=kind.__name__.lower()), execution=Execution(compiled=compiled))
+    generator = torch.Generator().manual_seed(3)
+    metrics = [agent.train(batch(), 64, generator) for _ in range(3)]
+    return agent, metrics[-1]
+
+
+@pytest.mark.slow
+@needs_compiler
+@torch_warns_itself
+@pytest.mark.parametrize("kind", [SAC, DDPG])
+def test_compiled_updates_equal_the_others_to_rounding(kind):
+    counters.clear()
+    (plain, metrics), (agent, own) = (after_updates(kind, compiled) for compiled in (False, True))
+    assert counters["stats"]["unique_graphs"] == 2, "one program per loss, for the whole run"
+    assert own == pytest.approx(metrics, rel=1e-4)
+    for network, expected in zip(agent.networks().values(), plain.networks().values(), strict=True):
+        for parameter, wanted in zip(network.parameters(), expected.parameters(), strict=True):
+            torch.testing.assert_close(parameter, wanted, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.slow
+@needs_compiler
+@torch_warns_itself
+def test_compiled_distance_steps_equal_the_others_to_rounding():
+    transitions, losses = batch(), []
+    rows = rows_of(transitions)
+    counters.clear()
+    for compiled in (False, True):
+        subject = learned(Execution(compiled=compiled))
+        subject.fit(rows, 50 * transitions.rewards, n_sampled=64)
+        few = subject.fit(rows[:5], 50 * transitions.rewards[:5], n_sampled=64, weight=0.5)  # as of eq. 4b
+        losses.append(torch.stack([few[0], subject.fit(rows, 50 * transitions.rewards, n_sampled=64)[0]]))
+    assert counters["stats"]["unique_graphs"] == 1
+    torch.testing.assert_close(losses[1], losses[0], rtol=1e-4, atol=1e-6)
+
+
+def test_compiling_without_a_compiler_says_so(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CXX", raising=False)
+    with pytest.raises(UserError, match="C\\+\\+ compiler"):
+        SAC(SIZES, HIDDEN, PolicyConfig(), execution=Execution(compiled=True))
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has CUDA")
+def test_cuda_without_a_device_says_so_and_auto_does_without():
+    with pytest.raises(UserError, match="needs a CUDA device"):
+        Execution(device="cuda")
+    assert Execution(device="auto").torch_device.type == "cpu"
+
+
+class Recorder:
+    """Stands in for torch.cuda where there is none: a graph that replays by calling what was captured."""
+
+    def __init__(self, monkeypatch):
+        self.n_replays, self.update = 0, None
+        fake = type("Stream", (), {"wait_stream": lambda self, other: None, "__enter__": lambda s: s,
+                                   "__exit__": lambda s, *a: None})  # fmt: skip
+        monkeypatch.setattr(torch.cuda, "Stream", fake)
+        monkeypatch.setattr(torch.cuda, "current_stream", fake)
+        monkeypatch.setattr(torch.cuda, "stream", lambda stream: stream)
+        monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: self)
+        monkeypatch.setattr(torch.cuda, "graph", lambda graph: fake())
+
+    def replay(self):
+        self.n_replays += 1
+        self.update()
+
+
+def test_a_graphed_update_is_captured_once_and_replayed_on_new_numbers(monkeypatch):
+    recorder, seen = Recorder(monkeypatch), []
+    total, output = torch.zeros(()), torch.zeros(())
+
+    def update(values):
+        seen.append(values)
+
+        def run():
+            total.add_(values.sum())
+            output.copy_(total)
+
+        recorder.update = run
+        if not graphed.capturing:
+            run()
+        return {"total": output}
+
+    class Graphed(GraphedUpdate):
+        capturing = False
+
+        def _capture(self, arguments):
+            self.capturing = True
+            super()._capture(arguments)
+            self.capturing = False
+
+    graphed = Graphed(update)
+    totals = [float(graphed(torch.full((2,), float(k)))["total"]) for k in range(1, 8)]
+    assert totals == [2 * k * (k + 1) / 2 for k in range(1, 8)], "every call is one update, none is lost or doubled"
+    assert len(seen) == GraphedUpdate.N_EAGER + 1 and recorder.n_replays == 7 - GraphedUpdate.N_EAGER
+    graphed(torch.ones(3))
+    assert len(seen) == GraphedUpdate.N_EAGER + 2, "arguments of another shape run as they are"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("kind", [SAC, DDPG])
+def test_updates_on_cuda_equal_those_on_the_cpu(kind):
+    results = []
+    for device in ("cpu", "cuda"):
+        torch.manual_seed(0)
+        agent = kind(SIZES, HIDDEN, PolicyConfig(agent=kind.__name__.lower()))
+        start = {name: network.state_dict() for name, network in agent.networks().items()}
+        moved = kind(SIZES, HIDDEN, PolicyConfig(agent=kind.__name__.lower()), execution=Execution(device=device))
+        for name, network in moved.networks().items():
+            network.load_state_dict(start[name])
+        generator = torch.Generator().manual_seed(3)
+        for _ in range(10):
+            moved.train(batch(), 64, generator)
+        results.append([p.detach().cpu() for p in moved.policy.parameters()])
+    for found, wanted in zip(results[1], results[0], strict=True):
+        torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-3)
