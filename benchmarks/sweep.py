@@ -19,11 +19,10 @@ import torch
 
 from benchmarks.cells import ROWS, BusyError, cell_name, published, trained
 from benchmarks.command import read_options
-from napsp import envs as tasks
-from napsp.config import METHODS, TrainConfig
+from napsp.config import METHODS, PAPER, TrainConfig, preset
 from napsp.envs.cards import suite
 from napsp.errors import UserError, run_command
-from napsp.presets import preset
+from napsp.execution import Execution
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,8 @@ class SweepOptions:
     """Tasks."""
     methods: tuple[str, ...] = METHODS
     """Methods."""
+    recipe: str = PAPER
+    """paper, or another one that the tasks have, see napsp.train."""
     seeds: int = 3
     """Training seeds 0 .. seeds - 1."""
     n_episodes: int | None = None
@@ -43,7 +44,7 @@ class SweepOptions:
     episodes_per_iteration: int | None = None
     """Episodes collected per iteration; None takes each task's own. Updates are per iteration."""
     compiled: bool = False
-    """Compile the updates, see napsp.train: faster cells. Each update differs in rounding only; runs drift apart."""
+    """Compile the losses, see napsp.train: faster cells. Each update differs in rounding only; runs drift apart."""
     again: bool = False
     """Also train cells whose curves are in results/runs already; those stay as they are there."""
     jobs: int = 1
@@ -58,12 +59,18 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
     for seed in range(options.seeds):
         for env in options.envs:
             for method in options.methods:
-                asked: dict[str, Any] = {"first_arrival": options.first_arrival and method == "ours"}
-                asked["compiled"] = options.compiled
+                changes: dict[str, Any] = {}
+                if options.first_arrival and method == "ours":
+                    changes["temporal.first_arrival"] = True
                 for name in ("n_episodes", "episodes_per_iteration"):
                     if getattr(options, name) is not None:
-                        asked[name] = getattr(options, name)
-                yield preset(tasks.canonical_name(env), method=method, seed=seed, **asked)
+                        changes[name] = getattr(options, name)
+                yield preset(env, method, options.recipe, changes, seed=seed)
+
+
+def execution(options: SweepOptions) -> Execution:
+    """How every cell is trained: on one thread, for that is fastest with one process per core."""
+    return Execution(compiled=options.compiled)
 
 
 def work(options: SweepOptions) -> None:
@@ -73,7 +80,7 @@ def work(options: SweepOptions) -> None:
             print(f"{cell_name(config)}: already in {ROWS}", flush=True)
             continue
         try:
-            trained(config, wait=False)
+            trained(config, execution(options), wait=False)
         except BusyError:
             print(f"{cell_name(config)}: in work elsewhere", flush=True)
 
@@ -100,7 +107,7 @@ def work_on_ray(options: SweepOptions) -> None:
     def task(config: TrainConfig) -> None:
         os.chdir(folder)
         torch.set_num_threads(1)
-        trained(config)
+        trained(config, execution(options))
 
     ray.init(ignore_reinit_error=True)  # the cluster of RAY_ADDRESS, or this machine
     remote = ray.remote(num_cpus=1)(task)
@@ -113,7 +120,7 @@ def main() -> int:
     unknown = set(options.methods) - set(METHODS)
     if unknown:
         raise UserError(f"unknown method {unknown.pop()!r}; choose from: {', '.join(METHODS)}")
-    list(cells(options))  # unknown tasks fail before any work
+    list(cells(options))  # unknown tasks and recipes fail before any work
     torch.set_num_threads(1)
     if options.backend == "ray":
         work_on_ray(options)
