@@ -33,7 +33,7 @@ class SmoothingConfig:
     trust: float = 0.3
     """How far an action may be moved at first; adapts from step to step."""
     rounds: int = 1
-    """Linearise, solve and verify so many times per plan."""
+    """Linearise, solve and verify so many times per plan; 0 only chooses between the sampled plan and the last one."""
     tolerance: float = 0.0
     """Smoothing may raise the planner's cost by so many steps."""
     accept: Literal["smoother", "better"] = "smoother"
@@ -52,7 +52,7 @@ class SmoothingConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, rate=(0, 1e6), jerk=(0, 1e6), effort=(1e-6, 1e6), distance=(0, 1e6), choice=(1e-6, 1e6))
-        check_ranges(self, trust=(0.05, 1), rounds=(1, 100), tolerance=(0, 1e6), step=(1e-4, 0.5))
+        check_ranges(self, trust=(0.05, 1), rounds=(0, 100), tolerance=(0, 1e6), step=(1e-4, 0.5))
         check_choice(self, accept=("smoother", "better"), solver=("qp", "ipopt"))
         many = self.multiples
         if many is not None and not (many and all(0 < multiple <= 1e6 for multiple in many)):  # false for NaN as well
