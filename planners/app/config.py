@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import tyro
 
@@ -91,7 +91,8 @@ class PlanConfig(Generic[S]):
     spline: SplineConfig = field(default_factory=SplineConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
     distance: DistanceConfig = field(default_factory=DistanceConfig)
-    smooth: tyro.conf.Suppress[SmoothingConfig | None] = None
+    # The command line has a switch --smooth and options --smooth.NAME, which it puts together.
+    smooth: Annotated[SmoothingConfig | None, tyro.conf.Suppress, tyro.conf.arg(name="smoothing")] = None
 
     @classmethod
     def of(cls, planner: str, changes: Mapping[str, Any] | None = None) -> PlanConfig[Any]:
