@@ -14,17 +14,7 @@ from napsp.errors import UserError
 from napsp.settings import MANY, check_ranges, refuse_old_flags
 from planners.app.config import PlanConfig, S
 
-SEARCH = (
-    "noise-scale", "noise-correlation", "noise-exponent", "min-noise-scale", "momentum", "decay", "kept", "elites",
-    "temperature", "refinements", "start",
-)  # fmt: skip
-SMOOTH = (
-    "rate", "jerk", "effort", "distance", "multiples", "choice", "along", "trust", "rounds", "tolerance", "accept",
-    "step", "solver",
-)  # fmt: skip
 RENAMED = {
-    **{name: f"search.{name}" for name in SEARCH},
-    **{f"smooth-{name}": f"smooth.{name}" for name in SMOOTH},
     "no-smooth-along": "smooth.no-along",
     "knots": "spline.knots",
     "interpolation": "spline.interpolation",
@@ -35,7 +25,8 @@ RENAMED = {
     "greedy-proposals": "distance.greedy-proposals",
     "no-greedy-proposals": "distance.no-greedy-proposals",
 }
-"""What options were called before they had groups."""
+"""What options were called before they had groups, beside those of the search (``--temperature``) and of smoothing
+(``--smooth-rate``), whose names tell."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +76,6 @@ def parse(planner: str, arguments: list[str]) -> tuple[PlanConfig[Any], RunOptio
     Raises:
         UserError: an option has another name now, or a value is out of its range or does not fit the others.
     """
-    refuse_old_flags(arguments, RENAMED)
     usual = PlanConfig.of(planner)
     kind = type(usual.search)
     if "samples" not in {option.name for option in dataclasses.fields(kind)}:
@@ -98,6 +88,7 @@ def parse(planner: str, arguments: list[str]) -> tuple[PlanConfig[Any], RunOptio
         usual.smooth or SmoothingConfig(),
     )
     names = _names(default)
+    refuse_old_flags(arguments, old_names(names))
     try:
         asked: Command[Any] = tyro.cli(
             Command[shown], args=arguments, default=default, prog=f"python -m planners.{planner}"
@@ -107,6 +98,18 @@ def parse(planner: str, arguments: list[str]) -> tuple[PlanConfig[Any], RunOptio
         return replace(asked.plan, search=kind(**own), smooth=smooth), asked.run
     except UserError as error:
         raise UserError(_with_flag(str(error), names)) from None
+
+
+def old_names(names: list[str]) -> dict[str, str]:
+    """What options were called before they had groups, and their ``names`` now, as they are typed."""
+    found, typed = dict(RENAMED), [name.replace("_", "-") for name in names]
+    for name in typed:
+        group, _, option = name.partition(".")
+        if group == "search" and option not in typed:
+            found[option] = name
+        elif group == "smooth" and option:
+            found[f"smooth-{option}"] = name
+    return found
 
 
 def _refuse_samples(planner: str, arguments: list[str]) -> None:
