@@ -20,6 +20,7 @@ import torch
 from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
 from benchmarks.command import read_options
 from benchmarks.curves import LINES, line_of
+from benchmarks.planned import COLUMN, column
 from mpc.motion import action_rate
 from mpc.rollout import available_cores
 from napsp import envs as tasks
@@ -32,8 +33,8 @@ from napsp.statistics import describe, paired_proportions, wilson_interval
 from napsp.storage.checkpoint import load_model
 from napsp.storage.record import save_figure
 from napsp.storage.revision import git_revision
-from planners.app.options import PlanOptions
-from planners.app.search_options import OPTIONS
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 FILE = RESULTS / "policy_vs_mpc.csv"
@@ -71,19 +72,18 @@ class VersusOptions:
     """First episode seed; these seeds were never used for tuning."""
 
 
-def plan_options(
-    env: str, planner: str, budget: int, proposals: bool, checkpoint: Path | None, seed: int
-) -> PlanOptions:
-    """Options that simulate ``budget`` plans per control step."""
+def plan_config(env: str, planner: str, budget: int, proposals: bool) -> PlanConfig[Any] | None:
+    """A planner that simulates ``budget`` plans per control step; None for the policy alone."""
+    if not budget:
+        return None
     name, smooth, _ = planner.partition(SMOOTHING)
-    kind: Any = OPTIONS[name]
-    refinements = kind.refinements
-    shares = sum(getattr(kind, "decay", 1.0) ** -i for i in range(refinements))
+    search: Any = PlanConfig.of(name).search
+    shares = sum(getattr(search, "decay", 1.0) ** -i for i in range(search.refinements))
     samples = max(1, round(budget / shares))
-    elites = {"elites": min(kind.elites, max(2, samples // 4))} if hasattr(kind, "elites") else {}
-    return kind(
-        env=env, samples=samples, proposals=proposals, checkpoint=checkpoint, seed=seed, smooth=bool(smooth), **elites
-    )
+    changes = {"env": env, "search.samples": samples, "proposals": proposals, "smooth": bool(smooth)}
+    if hasattr(search, "elites"):
+        changes["search.elites"] = min(search.elites, max(2, samples // 4))
+    return PlanConfig.of(name, changes)
 
 
 def run_policy(env_name: str, checkpoint: Path, seeds: list[int]) -> dict[str, Any]:
@@ -94,9 +94,9 @@ def run_policy(env_name: str, checkpoint: Path, seeds: list[int]) -> dict[str, A
     return _figures(result.reached[:, -1].tolist(), hits, 0.0, [action_rate(actions) for actions in episodes.actions])
 
 
-def run_planner(options: PlanOptions, planner: str, seeds: list[int]) -> dict[str, Any]:
+def run_planner(config: PlanConfig[Any], checkpoint: Path, seeds: list[int]) -> dict[str, Any]:
     """A planner on every seed."""
-    session = Session.open(planner.removesuffix(SMOOTHING), options)
+    session = Session.open(config, RunOptions(seed=seeds[0], checkpoint=checkpoint))
     results = [session.run_episode(seed) for seed in seeds]
     session.close()
     milliseconds = float(np.median(np.concatenate([result.plan_ms for result in results])))
@@ -141,20 +141,19 @@ def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
 
 def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, options: VersusOptions) -> dict[str, str]:
     """The row of a cell; run if it is not there yet."""
-    settings = plan_options(config.env, planner, budget, proposals, None, options.seed) if budget else None
+    planned = plan_config(config.env, planner, budget, proposals)
     key = {
         "env": config.env, "planner": planner, "budget": budget, "proposals": int(proposals),
         "training_seed": config.seed, "training_episodes": config.n_episodes, "training_hash": config.hash(),
-        "planner_hash": settings.hash() if settings else "", "episodes": options.episodes, "seed": options.seed,
+        COLUMN: column(planned), "episodes": options.episodes, "seed": options.seed,
     }  # fmt: skip
     row = find(read_results(FILE), key)
     if row is None:
         checkpoint, seeds = checkpoint_of(config), [options.seed + i for i in range(options.episodes)]
-        if settings is None:
+        if planned is None:
             figures = run_policy(config.env, checkpoint, seeds)
         else:
-            settings = plan_options(config.env, planner, budget, proposals, checkpoint, options.seed)
-            figures = run_planner(settings, planner, seeds)
+            figures = run_planner(planned, checkpoint, seeds)
         append_result(FILE, {**key, **figures, "revision": git_revision(), "cores": available_cores()})
         row = find(read_results(FILE), key)
     assert row is not None
@@ -175,8 +174,7 @@ def comparable(
         if training is None or not same:
             continue
         budget, proposals = int(row["budget"]), row["proposals"] == "1"
-        settings = plan_options(row["env"], row["planner"], budget, proposals, None, seed) if budget else None
-        if row["planner_hash"] == (settings.hash() if settings else ""):
+        if row[COLUMN] == column(plan_config(row["env"], row["planner"], budget, proposals)):
             kept.append({**row, "training": training})
     return kept
 

@@ -110,10 +110,10 @@ def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize(("module", "file", "changes"), [
     (smoothing, "smoothing.csv",
-     ["config_hash", "training_hash", "training_seed", "threads", "episodes", "seed", "variant"]),
-    (policy_vs_mpc, "policy_vs_mpc.csv", ["planner_hash", "training_hash", "training_seed", "episodes", "seed"]),
+     ["planner_config", "training_hash", "training_seed", "threads", "episodes", "seed", "variant"]),
+    (policy_vs_mpc, "policy_vs_mpc.csv", ["planner_config", "training_hash", "training_seed", "episodes", "seed"]),
     (distance_as_cost, "distance_as_cost.csv",
-     ["planner_hash", "training_hash", "samples", "episodes", "seed", "variant"]),
+     ["planner_config", "training_hash", "samples", "episodes", "seed", "variant"]),
 ])  # fmt: skip
 def test_tables_leave_out_rows_of_other_settings(module, file, changes):
     rows = cells.read_results(ROOT / "results" / file)

@@ -1,15 +1,11 @@
-"""How close a plan call comes to the bare simulator."""
+"""What plans are compared with: one ``mujoco.rollout`` call that plans nothing."""
 
 from __future__ import annotations
-
-import time
-from collections.abc import Callable
 
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from mpc.rollout import RolloutEngine
 from napsp.envs.dynamics import INTEGRATION_STATE, Dynamics
 
 # What a bare rollout holds constant; without it MuJoCo would move mocap bodies to the origin.
@@ -53,25 +49,3 @@ class RawRollout:
     def close(self) -> None:
         """Stop the worker threads."""
         self._rollout.close()
-
-
-def raw_speed_fraction(
-    engine: RolloutEngine,
-    plan: Callable[[], object],
-    state: np.ndarray,
-    n_samples: int,
-    horizon: int,
-    rounds: int = 5,
-) -> float:
-    """Wall time of a bare rollout over that of ``plan`` on the same work; median of paired rounds."""
-    raw = RawRollout(engine.dynamics, engine.n_threads, state, n_samples, horizon)
-    raw()
-    ratios = []
-    for _ in range(rounds):
-        start = time.perf_counter()
-        raw()
-        middle = time.perf_counter()
-        plan()
-        ratios.append((middle - start) / (time.perf_counter() - middle))
-    raw.close()
-    return float(np.median(ratios))
