@@ -14,10 +14,11 @@ from typing import Any
 import mujoco
 
 from mpc.rollout import available_cores
-from napsp.config import TrainConfig, identity_of
+from napsp.config import TrainConfig, identity_of, recipes
 from napsp.envs import file_name
+from napsp.errors import UserError
 from napsp.execution import Execution
-from napsp.storage.checkpoint import SHIPPED
+from napsp.storage.checkpoint import SHIPPED, shipped_model
 from napsp.storage.files import write_atomically, write_json
 from napsp.storage.progress import read_rows
 from napsp.storage.record import RECORD_FILE
@@ -31,6 +32,11 @@ ROWS = RESULTS / "runs"  # one small file per trained cell: no two processes wri
 
 class BusyError(Exception):
     """Another process works on this cell."""
+
+
+def usual_recipe(env: str) -> str:
+    """The recipe that a task is compared by: its own if it has one, else the paper's."""
+    return list(recipes(env))[-1]
 
 
 def cell_name(config: TrainConfig) -> str:
@@ -95,6 +101,24 @@ def recorded_training(folder: Path) -> tuple[dict[str, Any], int]:
     """What a finished run was trained with, and its seed."""
     record = json.loads((folder / RECORD_FILE).read_text())
     return identity_of(record["config"]), record["seed"]
+
+
+def training_beside(checkpoint: Path | None, env: str) -> tuple[dict[str, Any], int]:
+    """What a model was trained with, and its seed; ``checkpoint`` as for :func:`napsp.storage.checkpoint.load_model`.
+
+    Args:
+        checkpoint: None is the one that ships for ``env``.
+        env: the task.
+
+    Raises:
+        UserError: the record of the run is not beside the model.
+    """
+    path = checkpoint or shipped_model(env)
+    path = path if path.exists() else SHIPPED / path
+    folder = path if path.is_dir() else path.parent
+    if not (folder / RECORD_FILE).is_file():
+        raise UserError(f"{folder} has no {RECORD_FILE}, which says how the model was trained; finish its run")
+    return recorded_training(folder)
 
 
 def shipped_training(env: str) -> tuple[dict[str, Any], int] | None:

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.cells import RESULTS, learning_curves
+from benchmarks.cells import RESULTS, learning_curves, usual_recipe
 from benchmarks.command import read_options
 from napsp.config import DEFAULT, METHODS, PAPER, identity_of, preset, recipes
 from napsp.envs.cards import suite
@@ -98,8 +98,20 @@ def line_of(identity: Mapping[str, Any]) -> Line | None:
 
 def expected_lines(env: str) -> list[Line]:
     """What a task's comparison is made of: the four methods, by its own recipe if it has one."""
-    recipe = list(recipes(env))[-1]
-    return [Line(method, recipe) for method in METHODS]
+    return [Line(method, usual_recipe(env)) for method in METHODS]
+
+
+def full_line_of(identity: Mapping[str, Any]) -> Line | None:
+    """As :func:`line_of`, None as well for another number of episodes than the task's own."""
+    line, n_episodes = line_of(identity), identity.get("n_episodes", DEFAULT.n_episodes)
+    if line is None or preset(identity["env"], line.method, line.recipe).n_episodes != n_episodes:
+        return None
+    return line
+
+
+def is_current(line: Line, measured: Collection[Line]) -> bool:
+    """Whether a line is of today, or of an older version while today's like it is not among those measured."""
+    return line == line.of_today() or line.of_today() not in measured
 
 
 def current_runs(env: str) -> dict[Line, list[dict[str, Any]]]:
@@ -115,7 +127,7 @@ def current_runs(env: str) -> dict[Line, list[dict[str, Any]]]:
     for line, group in found.items():  # seeds of one length: a mean over others would compare different amounts
         most = max(run["config"]["n_episodes"] for run in group)
         found[line] = [run for run in group if run["config"]["n_episodes"] == most]
-    return {line: runs for line, runs in found.items() if line == line.of_today() or line.of_today() not in found}
+    return {line: runs for line, runs in found.items() if is_current(line, found)}
 
 
 def recorded(runs: list[dict[str, Any]], column: str) -> list[dict[str, Any]]:

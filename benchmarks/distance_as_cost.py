@@ -17,14 +17,24 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
+from benchmarks.cells import (
+    RESULTS,
+    append_result,
+    as_text,
+    checkpoint_of,
+    find,
+    read_results,
+    training_of,
+    usual_recipe,
+)
 from benchmarks.command import read_options
+from benchmarks.curves import Line, full_line_of, is_current
 from benchmarks.planned import COLUMN, column
 from napsp import envs as tasks
+from napsp.config import preset
 from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
-from napsp.presets import preset
 from napsp.statistics import describe, wilson_interval
 from napsp.storage.checkpoint import load_model
 from napsp.storage.revision import git_revision
@@ -75,6 +85,8 @@ class CostOptions:
     """Checkpoints of these training seeds; missing ones are trained first."""
     training_episodes: int | None = None
     """Training episodes of the checkpoints; default the task's preset."""
+    recipe: str | None = None
+    """Recipe of the checkpoints, see napsp.train; default manipulation for pick and place, paper for all others."""
     episodes: int = 50
     """Episodes per cell."""
     seed: int = 80_000
@@ -106,7 +118,7 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
     if config is None:
         assert checkpoint is not None
         model, env = load_model(checkpoint, env_name), tasks.make(env_name)
-        result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
+        result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.episode_length)
         success, hits = result.reached[:, -1].tolist(), result.first_hits[~np.isnan(result.first_hits)].tolist()
         milliseconds = 0.0
     else:
@@ -121,19 +133,32 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
     }
 
 
-def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, str]]:
-    """Rows of the default episodes and samples whose settings, of training and planner, are today's."""
-    kept = []
+def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
+    """Rows of the default episodes and samples whose planner is today's, with the ``line`` of their training.
+
+    That is the variant's method as the task is compared by, or an older version of it while today's has no row; None
+    where no model is asked.
+    """
+    found: list[tuple[Line | None, dict[str, str]]] = []
     for row in rows:
         variant, options = VARIANTS.get(row["variant"]), CostOptions(env=row["env"])
         if variant is None:
             continue
-        planner = column(plan_config(row["env"], row["variant"], options))
-        training = preset(row["env"], method=variant.method).hash() if variant.method else ""
-        today = (planner, training, str(options.samples), str(options.episodes), str(options.seed))
-        if tuple(row[n] for n in (COLUMN, "training_hash", "samples", "episodes", "seed")) == today:
-            kept.append(row)
-    return kept
+        sizes = (column(plan_config(row["env"], row["variant"], options)),
+                 str(options.samples), str(options.episodes), str(options.seed))  # fmt: skip
+        if tuple(row[n] for n in (COLUMN, "samples", "episodes", "seed")) != sizes:
+            continue
+        training = training_of(row)
+        line = full_line_of(training) if training else None
+        wanted = Line(variant.method, usual_recipe(row["env"])) if variant.method else None
+        if (line.of_today() if line else None) == wanted and bool(training) == bool(wanted):
+            found.append((line, row))
+    measured = {(row["env"], row["variant"], line) for line, row in found}
+    return [
+        {**row, "line": line}
+        for line, row in found
+        if line is None or is_current(line, [m[2] for m in measured if m[2] and m[:2] == (row["env"], row["variant"])])
+    ]
 
 
 def main() -> int:
@@ -145,14 +170,15 @@ def main() -> int:
     if unknown:
         raise UserError(f"unknown variant {unknown.pop()!r}; choose from: {'; '.join(VARIANTS)}")
     length = {"n_episodes": options.training_episodes} if options.training_episodes is not None else {}
+    recipe = options.recipe or usual_recipe(env_name)
     is_maze = hasattr(tasks.make(env_name).unwrapped, "shortest_steps")
     for variant in options.variants or [name for name in VARIANTS if is_maze or "shortest" not in name]:
         method = VARIANTS[variant].method
         for training_seed in options.training_seeds if method else ("",):
-            config = preset(env_name, method=method, seed=training_seed, **length) if method else None
+            config = preset(env_name, method, recipe, length, seed=training_seed) if method else None
             key = {
                 "env": env_name, "variant": variant, "training_seed": training_seed,
-                "training_hash": config.hash() if config else "",
+                "training": as_text(config.identity() if config else None),
                 COLUMN: column(plan_config(env_name, variant, options)),
                 "samples": options.samples, "episodes": options.episodes, "seed": options.seed,
             }  # fmt: skip

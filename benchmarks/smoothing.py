@@ -16,7 +16,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, append_result, find, read_results, shipped_training
+from benchmarks.cells import (
+    RESULTS,
+    append_result,
+    as_text,
+    find,
+    read_results,
+    shipped_training,
+    training_beside,
+    training_of,
+)
 from benchmarks.command import read_options
 from benchmarks.planned import COLUMN, column
 from napsp import envs as tasks
@@ -112,7 +121,7 @@ def comparable(rows: Sequence[Any], episodes: int = 50, seed: int = 90_000) -> l
         if settings is None or (row["episodes"], row["seed"], row["threads"]) != (str(episodes), str(seed), "1"):
             continue
         planned = plan_config(row["env"], row["planner"], row["proposals"] == "True", settings)
-        same_model = (row["training_hash"], int(row["training_seed"])) == shipped_training(row["env"])
+        same_model = (training_of(row), int(row["training_seed"])) == shipped_training(row["env"])
         if same_model and column(planned) == row[COLUMN]:
             kept.append(row)
     return kept
@@ -217,12 +226,11 @@ def main() -> int:
     for variant in (name for name in options.variants if name in variants):
         settings = variants[variant]
         session = open_session(options, settings)
-        assert session.model is not None  # the learned distance is the default cost
-        training = session.model.config
+        training, training_seed = training_beside(options.checkpoint, env_name)
         key = {
             "env": env_name, "planner": options.planner, "proposals": options.proposals, "variant": variant,
             COLUMN: column(session.config), "episodes": options.episodes, "seed": options.seed,
-            "training_hash": training.hash(), "training_seed": training.seed, "threads": options.threads,
+            "training": as_text(training), "training_seed": training_seed, "threads": options.threads,
         }  # fmt: skip
         if find(read_results(path), key) is None:
             append_result(path, {**key, **run_cell(session, options), "revision": git_revision()})

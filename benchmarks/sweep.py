@@ -17,9 +17,10 @@ from typing import Any, Literal
 
 import torch
 
-from benchmarks.cells import ROWS, BusyError, cell_name, published, trained
+from benchmarks.cells import ROWS, BusyError, cell_name, published, trained, usual_recipe
 from benchmarks.command import read_options
-from napsp.config import METHODS, PAPER, TrainConfig, preset
+from napsp import envs as tasks
+from napsp.config import METHODS, TrainConfig, preset
 from napsp.envs.cards import suite
 from napsp.errors import UserError, run_command
 from napsp.execution import Execution
@@ -33,8 +34,8 @@ class SweepOptions:
     """Tasks."""
     methods: tuple[str, ...] = METHODS
     """Methods."""
-    recipe: str = PAPER
-    """paper, or another one that the tasks have, see napsp.train."""
+    recipe: str | None = None
+    """paper or manipulation, see napsp.train; default manipulation for pick and place, paper for all others."""
     seeds: int = 3
     """Training seeds 0 .. seeds - 1."""
     n_episodes: int | None = None
@@ -65,7 +66,8 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
                 for name in ("n_episodes", "episodes_per_iteration"):
                     if getattr(options, name) is not None:
                         changes[name] = getattr(options, name)
-                yield preset(env, method, options.recipe, changes, seed=seed)
+                recipe = options.recipe or usual_recipe(tasks.canonical_name(env))
+                yield preset(env, method, recipe, changes, seed=seed)
 
 
 def execution(options: SweepOptions) -> Execution:

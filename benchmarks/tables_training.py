@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, read_results, training_of
 from benchmarks.coverage import CoverageOptions
-from benchmarks.curves import Line, current_runs, expected_lines, line_of
+from benchmarks.curves import Line, current_runs, expected_lines, full_line_of, is_current
 from benchmarks.distance_accuracy import AccuracyOptions
 from napsp.config import DEFAULT, from_dict, preset
 from napsp.envs.cards import suite
@@ -25,18 +25,18 @@ def _current(name: str, **sizes: int) -> list[tuple[str, dict[str, str]]]:
     Rows of other settings stay in the file only.
     """
     rows = [row for row in read_results(RESULTS / name) if all(row[k] == str(v) for k, v in sizes.items())]
-    lines: list[Line | None] = []
+    found: list[tuple[Line | None, dict[str, str]]] = []
     for row in rows:
         training = training_of(row)
-        lines.append(line_of(training) if training else None)
-    measured = {(row["env"], line) for row, line in zip(rows, lines, strict=True)}
-    found = []
-    for row, line in zip(rows, lines, strict=True):
-        if line is None:
-            found += [] if row["training"] else [(row["method"], row)]  # nothing learned
-        elif line == line.of_today() or (row["env"], line.of_today()) not in measured:
-            found.append((line.name, row))
-    return found
+        line = full_line_of(training) if training else None
+        if line is not None or training is None:  # nothing was learned for the straight line
+            found.append((line, row))
+    measured = {env: {line for line, row in found if line and row["env"] == env} for env in {r["env"] for r in rows}}
+    return [
+        (line.name if line else row["method"], row)
+        for line, row in found
+        if line is None or is_current(line, measured[row["env"]])
+    ]
 
 
 def training_table() -> list[str]:

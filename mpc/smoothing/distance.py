@@ -28,8 +28,8 @@ class SmoothDistance:
         head = model.distance.plain()
         if head is None:
             raise ValueError(
-                "the distance is more than one plain network (--distance.head mlp without layer norm and with one member), "
-                "so the smoothing layer cannot write out its derivatives"
+                "the distance is more than one plain network (--distance.head mlp, no layer norm, one member), so the "
+                "smoothing layer cannot write out its derivatives"
             )
         self.action_of, self.episode_length = action_of, float(model.distance.episode_length)
         self._softplus = head.output == "softplus"
