@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from napsp.storage.record import save_figure
 
 NAMED = {
     "counts.reached_bits": "one key",
-    "policy.min_entropy_weight": "floor of alpha {}",
+    "policy.min_entropy_weight": "alpha >= {}",
     "temporal.first_arrival": "first arrival",
     "episodes_per_iteration": "{} episodes per iteration",
 }
@@ -152,17 +152,21 @@ def over_seeds(runs: list[dict[str, Any]], column: str) -> tuple[np.ndarray, np.
     return np.array(episodes), np.array([mean for mean, _ in summaries]), np.array(ends).reshape(-1, 2).T
 
 
-def draw(axis: Any, runs: Mapping[Line, list[dict[str, Any]]], column: str) -> None:
-    """One panel: a curve per line, of the method's colour."""
+def draw(axis: Any, env: str, runs: Mapping[Line, list[dict[str, Any]]], column: str) -> None:
+    """One panel: a curve per line, of the method's colour; a recipe that all lines have stands in the title."""
+    in_title = {line.recipe for line in runs if line.in_figures}
+    in_title = in_title if len(in_title) == 1 else set()
     drawn: dict[str, int] = defaultdict(int)
     for line in runs:
         episodes, means, ends = over_seeds(runs[line], column) if line.in_figures else ((), (), ())
         if len(episodes):
-            label, color = f"{line.name} ({len(recorded(runs[line], column))})", COLORS[line.method]
+            name = replace(line, recipe=PAPER).name if line.recipe in in_title else line.name
+            label, color = f"{name} ({len(recorded(runs[line], column))})", COLORS[line.method]
             style = STYLES[drawn[line.method] % len(STYLES)]
             axis.plot(episodes, means, color=color, label=label, linewidth=1.2, linestyle=style)
             axis.fill_between(episodes, *ends, color=color, alpha=0.15, linewidth=0)
             drawn[line.method] += 1
+    axis.set_title(" + ".join([env, *(in_title - {PAPER})]), fontsize=9)
     axis.set(xlabel="episodes", ylabel=TITLES[column])
     if axis.lines:
         axis.legend(fontsize=6, title="method (seeds)", title_fontsize=6)
@@ -180,8 +184,7 @@ def grid(panels: list[tuple[str, str]], n_columns: int, path: Path) -> None:
     n_rows = -(-len(panels) // n_columns)
     figure, axes = plt.subplots(n_rows, n_columns, figsize=(3.1 * n_columns, 2.5 * n_rows), layout="constrained")
     for axis, (env, column) in zip(np.ravel(axes), panels, strict=True):
-        draw(axis, current_runs(env), column)
-        axis.set_title(env, fontsize=9)
+        draw(axis, env, current_runs(env), column)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)
     print(f"picture: {path}")

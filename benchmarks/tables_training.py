@@ -75,7 +75,7 @@ def learning_table() -> list[str]:
         "first evaluation with so much success, median over seeds, and how many of them got there.",
         "*+ manipulation* is `--recipe manipulation`, with what pick and place is learned with beyond the paper, *first arrival*",
         "`--temporal.first-arrival`, which the paper does not have either. Two lines are of older versions, and are shown until today's were",
-        "run: *one key* counted N(s, a, g) by one joint key of s, a and g, which today has two parts; *floor of alpha* is",
+        "run: *one key* counted N(s, a, g) by one joint key of s, a and g, which today has two parts; *alpha >=* is",
         "`--policy.min-entropy-weight`, which was 0.02 in units of reward for every task and today is in lost steps.",
         "The last two tasks are not the paper's, but harder ones.",
         "",

@@ -147,7 +147,7 @@ def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
         (["planners.mppi", "--smooth", "--low-pass", "0.5"], "--smooth and --low-pass exclude each other"),
         (["planners.mppi", "--smooth.trust", "2"], "--smooth.trust is 2.0; it must lie between 0.05 and 1"),
         (["benchmarks.smoothing", "--planner", "nope"], "unknown planner 'nope'; choose mppi"),
-        (["napsp.train", "--discount", "1"], "discount is 1.0; it must lie between"),
+        (["napsp.train", "--policy.discount", "1"], "discount is 1.0; it must lie between"),
         (["benchmarks.rollout_speed", "--samples", "0"], "--samples is 0"),
         (["benchmarks.coverage", "--env", "fetch_reach"], "point_maze and point_maze_long only"),
         (["benchmarks.coverage", "--bins", "0"], "--bins is 0; it must be at least 2"),
@@ -156,10 +156,10 @@ def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
         (["benchmarks.sweep", "--envs"], "--envs is empty; give at least one value"),
         (["planners.mppi", "--samples", "3"], "give at least 4"),
         (["benchmarks.policy_vs_mpc", "--training-episodes", "0"], "--training-episodes is 0"),
-        (["napsp.train", "--env", "point_maze", "--held-starts", "0.5"], "point_maze has no box to hold"),
-        (["napsp.train", "--other-goals-ratio", "0.5"], "exceed 1 together"),
+        (["napsp.train", "--env", "point_maze", "--explore.held-starts", "0.5"], "point_maze has no box to hold"),
+        (["napsp.train", "--her.other-goals-ratio", "0.5"], "exceed 1 together"),
         (["napsp.train", "--batch-size", "0"], "batch_size is 0; it must lie between 1"),
-        (["napsp.train", "--threads", "0"], "--threads is 0"),
+        (["napsp.train", "--threads", "0"], "threads is 0; it must be at least 1"),
         (
             ["napsp.train", "--env", "point_maze", "--n-episodes", "21", "--episodes-per-iteration", "7"],
             "must exceed the 21 warm-up episodes",
@@ -254,8 +254,8 @@ def test_shipped_checkpoints_tell_where_they_come_from(env):
 
 def test_a_shipped_checkpoint_has_a_name(tmp_path, monkeypatch):
     named = load_model("fetch_pick_place_first_arrival", "fetch_pick_place")
-    assert named.config.first_arrival
-    assert not load_model("fetch_pick_place", "fetch_pick_place").config.first_arrival
+    assert named.config.temporal.first_arrival
+    assert not load_model("fetch_pick_place", "fetch_pick_place").config.temporal.first_arrival
     monkeypatch.chdir(tmp_path)  # a file or folder of the user's own comes first
     Path("fetch_pick_place_first_arrival").mkdir()
     with pytest.raises(UserError, match="no checkpoint at"):
