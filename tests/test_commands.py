@@ -11,12 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gymnasium import spaces
+from test_train import tiny
 
 from napsp import envs
 from napsp.errors import UserError
 from napsp.statistics import wilson_interval
 from napsp.storage.checkpoint import MODEL_FILE, load_model, shipped_model
 from napsp.storage.files import read_tensors, write_tensors
+from napsp.train import train
 from planners.app.cli import run
 
 ROOT = Path(__file__).parent.parent
@@ -250,6 +252,15 @@ def test_shipped_checkpoints_tell_where_they_come_from(env):
         rows = list(csv.DictReader(file))
     assert float(rows[-1]["episodes"]) == model.header["episodes"]
     assert (folder / "training_curve.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_distance_that_smoothing_cannot_write_out_plans_without_it(tmp_path):
+    train(tiny(**{"distance.head": "quasimetric"}), tmp_path / "run")
+    arguments = ["--env", "point_maze", "--checkpoint", str(tmp_path / "run"), "--episodes", "1", "--samples", "8"]
+    arguments += ["--no-video", "--out", str(tmp_path / "plans")]
+    with pytest.raises(UserError, match="--smooth needs a distance of one plain network"):
+        run("mppi", [*arguments, "--smooth"])
+    assert run("mppi", arguments) == 0
 
 
 def test_a_shipped_checkpoint_has_a_name(tmp_path, monkeypatch):
