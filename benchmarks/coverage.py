@@ -14,9 +14,8 @@ import numpy as np
 from benchmarks.cells import RESULTS, append_result, find, read_results, trained
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.config import METHODS
+from napsp.config import METHODS, preset
 from napsp.errors import UserError, run_command
-from napsp.presets import preset
 from napsp.storage.files import read_tensors
 from napsp.storage.progress import read_rows
 from napsp.storage.record import save_figure

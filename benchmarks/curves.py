@@ -19,10 +19,9 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, learning_curves
 from benchmarks.command import read_options
-from napsp.config import METHODS
+from napsp.config import METHODS, preset
 from napsp.envs.cards import suite
 from napsp.errors import run_command
-from napsp.presets import preset
 from napsp.statistics import interquartile_mean
 from napsp.storage.record import save_figure
 

@@ -20,8 +20,8 @@ from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_r
 from benchmarks.command import read_options
 from benchmarks.maze_truth import MazeSearch
 from napsp import envs as tasks
+from napsp.config import preset
 from napsp.errors import UserError, run_command
-from napsp.presets import preset
 from napsp.storage.checkpoint import load_model
 from napsp.storage.revision import git_revision
 

@@ -20,10 +20,10 @@ import torch
 from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
 from benchmarks.command import read_options
 from napsp import envs as tasks
+from napsp.config import preset
 from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
-from napsp.presets import preset
 from napsp.statistics import describe, wilson_interval
 from napsp.storage.checkpoint import load_model
 from napsp.storage.revision import git_revision

@@ -21,9 +21,8 @@ import torch
 from benchmarks.cells import report
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.config import TrainConfig
+from napsp.config import TrainConfig, preset
 from napsp.errors import UserError, run_command
-from napsp.presets import preset
 from napsp.storage.checkpoint import sizes_of
 from napsp.storage.revision import git_revision
 from napsp.train import new_learner

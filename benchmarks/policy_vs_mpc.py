@@ -23,11 +23,10 @@ from benchmarks.curves import LINES, line_of
 from mpc.motion import action_rate
 from mpc.rollout import available_cores
 from napsp import envs as tasks
-from napsp.config import TrainConfig
+from napsp.config import TrainConfig, preset
 from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
-from napsp.presets import preset
 from napsp.statistics import describe, paired_proportions, wilson_interval
 from napsp.storage.checkpoint import load_model
 from napsp.storage.record import save_figure

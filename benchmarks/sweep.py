@@ -20,10 +20,9 @@ import torch
 from benchmarks.cells import ROWS, BusyError, cell_name, published, trained
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.config import METHODS, TrainConfig
+from napsp.config import METHODS, TrainConfig, preset
 from napsp.envs.cards import suite
 from napsp.errors import UserError, run_command
-from napsp.presets import preset
 
 
 @dataclass(frozen=True)

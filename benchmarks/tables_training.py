@@ -12,9 +12,8 @@ from benchmarks.cells import RESULTS, read_results
 from benchmarks.coverage import CoverageOptions
 from benchmarks.curves import LINES, MORE_UPDATES, current_runs
 from benchmarks.distance_accuracy import AccuracyOptions
-from napsp.config import METHODS, from_dict
+from napsp.config import METHODS, from_dict, preset
 from napsp.envs.cards import suite
-from napsp.presets import preset
 from napsp.statistics import describe, interquartile_mean
 from napsp.storage.record import command_line
 

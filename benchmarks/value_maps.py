@@ -17,10 +17,9 @@ from benchmarks.cells import RESULTS, trained
 from benchmarks.command import read_options
 from mpc.cost import LearnedSteps
 from napsp import envs as tasks
-from napsp.config import METHODS
+from napsp.config import METHODS, preset
 from napsp.errors import UserError, run_command
 from napsp.policy.critic import Critic
-from napsp.presets import preset
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors
 from napsp.storage.record import save_figure
