@@ -23,9 +23,10 @@ FILES = {
 
 
 def imports_of(path):
-    """Modules of ours that a file names in an import, those inside functions included."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    """Modules that a file imports, in functions as well; a command's own start is no import of the file."""
+    found, tree = set(), ast.parse(path.read_text())
+    tree.body = [node for node in tree.body if not (isinstance(node, ast.If) and "__main__" in ast.unparse(node.test))]
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
