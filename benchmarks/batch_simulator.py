@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from mpc.speed import HELD
+from benchmarks.raw_rollout import HELD
 from napsp.envs.dynamics import INTEGRATION_STATE
 from napsp.envs.fetch import FetchReachDynamics
 from napsp.envs.fetch_arm import GRIPPER_ROTATION

@@ -14,9 +14,11 @@ from typing import Any
 import mujoco
 
 from mpc.rollout import available_cores
-from napsp.config import TrainConfig
+from napsp.config import TrainConfig, identity_of, recipes
 from napsp.envs import file_name
-from napsp.storage.checkpoint import SHIPPED
+from napsp.errors import UserError
+from napsp.execution import Execution
+from napsp.storage.checkpoint import SHIPPED, shipped_model
 from napsp.storage.files import write_atomically, write_json
 from napsp.storage.progress import read_rows
 from napsp.storage.record import RECORD_FILE
@@ -32,9 +34,24 @@ class BusyError(Exception):
     """Another process works on this cell."""
 
 
+def usual_recipe(env: str) -> str:
+    """The recipe that a task is compared by: its own if it has one, else the paper's."""
+    return list(recipes(env))[-1]
+
+
 def cell_name(config: TrainConfig) -> str:
     """Name of a cell: equal configurations share it."""
-    return f"{file_name(config.env)}-{config.method}-s{config.seed}-{config.hash()}"
+    return f"{file_name(config.env)}-{config.method}-s{config.seed}-{config.digest()}"
+
+
+def as_text(identity: Mapping[str, Any] | None) -> str:
+    """The column of a row for what its model was trained with; empty without a model."""
+    return "" if identity is None else json.dumps(identity, sort_keys=True, separators=(",", ":"))
+
+
+def training_of(row: Mapping[str, str]) -> dict[str, Any] | None:
+    """What the model of a row was trained with, from its column ``training``; None without a model."""
+    return json.loads(row["training"]) if row["training"] else None
 
 
 @contextmanager
@@ -53,7 +70,7 @@ def exclusive(folder: Path, wait: bool) -> Iterator[None]:
         yield
 
 
-def trained(config: TrainConfig, wait: bool = True) -> Path:
+def trained(config: TrainConfig, execution: Execution | None = None, wait: bool = True) -> Path:
     """Folder of the finished run of a configuration; trains it, or finishes it, when needed.
 
     Its curve lands in ``results/runs``.
@@ -65,7 +82,7 @@ def trained(config: TrainConfig, wait: bool = True) -> Path:
     with exclusive(folder, wait):
         if not (folder / RECORD_FILE).is_file():
             print(f"training {folder}", flush=True)
-            train(config, folder)
+            train(config, folder, execution=execution)
         if not (folder / RECORD_FILE).is_file():
             raise KeyboardInterrupt  # an interrupted run is not a result
         publish(folder)
@@ -75,19 +92,39 @@ def trained(config: TrainConfig, wait: bool = True) -> Path:
 def checkpoint_of(config: TrainConfig) -> Path:
     """Folder of a model of this configuration and seed: the one that ships with the package, or :func:`trained`."""
     for path in sorted(SHIPPED.glob(f"*/{RECORD_FILE}")):
-        record = json.loads(path.read_text())
-        if (record["config_hash"], record["seed"]) == (config.hash(), config.seed):
+        if recorded_training(path.parent) == (config.identity(), config.seed):
             return path.parent
     return trained(config)
 
 
-def shipped_training(env: str) -> tuple[str, int] | None:
-    """Configuration hash and training seed of the model that ships for a task; None if none does."""
-    path = SHIPPED / file_name(env) / RECORD_FILE
-    if not path.is_file():
-        return None
-    record = json.loads(path.read_text())
-    return record["config_hash"], record["seed"]
+def recorded_training(folder: Path) -> tuple[dict[str, Any], int]:
+    """What a finished run was trained with, and its seed."""
+    record = json.loads((folder / RECORD_FILE).read_text())
+    return identity_of(record["config"]), record["seed"]
+
+
+def training_beside(checkpoint: Path | None, env: str) -> tuple[dict[str, Any], int]:
+    """What a model was trained with, and its seed; ``checkpoint`` as for :func:`napsp.storage.checkpoint.load_model`.
+
+    Args:
+        checkpoint: None is the one that ships for ``env``.
+        env: the task.
+
+    Raises:
+        UserError: the record of the run is not beside the model.
+    """
+    path = checkpoint or shipped_model(env)
+    path = path if path.exists() else SHIPPED / path
+    folder = path if path.is_dir() else path.parent
+    if not (folder / RECORD_FILE).is_file():
+        raise UserError(f"{folder} has no {RECORD_FILE}, which says how the model was trained; finish its run")
+    return recorded_training(folder)
+
+
+def shipped_training(env: str) -> tuple[dict[str, Any], int] | None:
+    """What the model that ships for a task was trained with, and its seed; None if none ships."""
+    folder = SHIPPED / file_name(env)
+    return recorded_training(folder) if (folder / RECORD_FILE).is_file() else None
 
 
 def published(config: TrainConfig) -> bool:
@@ -104,7 +141,7 @@ def publish(folder: Path) -> None:
                    "merging_rate", "relaxation_rate", "seconds"}  # fmt: skip
         curve = [{k: round(v, 4) for k, v in row.items() if k in columns}
                  for row in read_rows(folder / "metrics.csv", float("inf"))]  # fmt: skip
-        kept = {k: record[k] for k in ("command", "revision", "seed", "config_hash", "config", "minutes", "versions")}
+        kept = {k: record[k] for k in ("command", "revision", "seed", "config", "minutes", "versions")}
         write_json(path, {**kept, "curve": curve})
 
 

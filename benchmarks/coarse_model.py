@@ -26,7 +26,7 @@ from napsp.envs.dynamics import get_state
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
 from napsp.storage.checkpoint import load_model, shipped_model
-from planners.app.options import PlanOptions
+from planners.app.config import PlanConfig
 
 KEY = ("env", "actions", "horizon", "substeps")
 ENVS = ("point_maze", "fetch_wall", "fetch_pick_place_wall", "claw")
@@ -117,7 +117,7 @@ def measure(name: str, options: CoarseOptions) -> list[dict[str, Any]]:
     """Rows of one task."""
     env = tasks.make(name)
     world: Any = env.unwrapped
-    horizon = options.horizon or PlanOptions(env=name).steps_ahead
+    horizon = options.horizon or PlanConfig.of("mppi", {"env": name}).usual.horizon
     actor, rng = policy_of(name, options), np.random.default_rng(options.seed)
     exact = RolloutEngine(world.dynamics, options.threads)
     engines = {n: RolloutEngine(coarse(world.dynamics, n), options.threads) for n in substeps_of(world, options)}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.cells import RESULTS, append_result, find, read_results, trained
+from benchmarks.cells import RESULTS, append_result, as_text, find, read_results, trained
 from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.config import METHODS, preset
@@ -84,7 +84,8 @@ def main() -> int:
             positions = visited(folder)
             house, goal_room = coverage(positions, scale, options.bins)
             last = read_rows(folder / "metrics.csv", np.inf)[-1]
-            key = {"env": env_name, "method": method, "seed": seed, "config_hash": config.hash(), "bins": options.bins}
+            training = as_text(config.identity())
+            key = {"env": env_name, "method": method, "seed": seed, "training": training, "bins": options.bins}
             figures = {"coverage": house, "goal_room_coverage": goal_room, "success_rate": last["success_rate"],
                        "any_success_rate": last["any_success_rate"], "episodes": len(positions)}  # fmt: skip
             if find(read_results(path), key) is None:

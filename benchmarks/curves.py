@@ -11,37 +11,35 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.cells import RESULTS, learning_curves
+from benchmarks.cells import RESULTS, learning_curves, usual_recipe
 from benchmarks.command import read_options
-from napsp.config import METHODS, preset
+from napsp.config import DEFAULT, METHODS, PAPER, identity_of, preset, recipes
 from napsp.envs.cards import suite
 from napsp.errors import run_command
+from napsp.settings import flat, to_dict
 from napsp.statistics import interquartile_mean
 from napsp.storage.record import save_figure
 
-NAMED: dict[str, dict[str, Any]] = {"ours, first arrival": {"method": "ours", "first_arrival": True}}
-"""Named options that go beyond the paper's method; shown where they were run."""
-LINES: dict[str, dict[str, Any]] = {**{method: {"method": method} for method in METHODS}, **NAMED}
-COLORS = dict(zip(LINES, ("tab:gray", "tab:orange", "tab:blue", "tab:red", "tab:purple"), strict=True))
-MORE_UPDATES = {
-    f"{name}, 2 episodes per iteration": {**options, "episodes_per_iteration": 2} for name, options in LINES.items()
+NAMED = {
+    "counts.reached_bits": "one key",
+    "policy.min_entropy_weight": "alpha >= {}",
+    "temporal.first_arrival": "first arrival",
+    "episodes_per_iteration": "{} episodes per iteration",
 }
-"""On pick and place four times the updates per episode: in tables where it was run, not in the figures."""
-
-
-def line_of(env: str, config_hash: str, n_episodes: int) -> str | None:
-    """The method or named option whose preset of so many training episodes has this hash; None for other settings."""
-    named = {**MORE_UPDATES, **LINES}  # where both mean the same, the plain name
-    hashes = {preset(env, **options, n_episodes=n_episodes).hash(): name for name, options in named.items()}
-    return hashes.get(config_hash)
-
-
+"""Options that may differ from the recipe's in a line of its own, where such runs exist, and what they are called."""
+SUPERSEDED = ("counts.reached_bits", "policy.min_entropy_weight")
+"""Of these, ways of older versions: such a line is shown until the same one without them is run."""
+TABLES_ONLY = ("episodes_per_iteration",)
+"""Lines that figures leave out."""
+COLORS = dict(zip(METHODS, ("tab:gray", "tab:orange", "tab:blue", "tab:red"), strict=True))
+STYLES = ("-", "--", ":", "-.")
 TITLES = {
     "success_rate": "success (last step)",
     "any_success_rate": "success (some step)",
@@ -51,20 +49,85 @@ TITLES = {
 }
 
 
-def current_runs(env: str) -> dict[str, list[dict[str, Any]]]:
-    """Published runs of a task by method or named option: of today's presets, and of the most episodes among those."""
-    longest: dict[tuple[str, int], dict[str, Any]] = {}
+@dataclass(frozen=True)
+class Line:
+    """Runs that ask the same but for seed and number of episodes.
+
+    Attributes:
+        method: of the four.
+        recipe: whose values it has.
+        named: options that differ from them, in the order of :data:`NAMED`.
+    """
+
+    method: str
+    recipe: str = PAPER
+    named: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What figures and tables call it."""
+        recipe = "" if self.recipe == PAPER else f" + {self.recipe}"
+        return ", ".join([self.method + recipe, *(NAMED[option].format(value) for option, value in self.named)])
+
+    @property
+    def in_figures(self) -> bool:
+        """Whether figures show it."""
+        return not any(option in TABLES_ONLY for option, _ in self.named)
+
+    def of_today(self) -> Line:
+        """The line without ways of older versions; that of most lines is itself."""
+        kept = tuple((option, value) for option, value in self.named if option not in SUPERSEDED)
+        return Line(self.method, self.recipe, kept)
+
+    def rank(self) -> tuple[Any, ...]:
+        """Sorting key: methods in the paper's order, the paper's recipe first, then by what they are called."""
+        return METHODS.index(self.method), self.recipe != PAPER, self.name
+
+
+def line_of(identity: Mapping[str, Any]) -> Line | None:
+    """The line of a run that asks this; None if it has an option otherwise that makes no line of its own."""
+    asked = {**flat(to_dict(DEFAULT)), **identity}
+    env, method = asked["env"], asked["method"]
+    for recipe in recipes(env):
+        usual = flat(to_dict(preset(env, method, recipe)))
+        different = {k for k, v in asked.items() if usual.get(k) != v} - {"seed", "recipe", "n_episodes"}
+        if different <= NAMED.keys():
+            return Line(method, recipe, tuple((option, asked[option]) for option in NAMED if option in different))
+    return None
+
+
+def expected_lines(env: str) -> list[Line]:
+    """What a task's comparison is made of: the four methods, by its own recipe if it has one."""
+    return [Line(method, usual_recipe(env)) for method in METHODS]
+
+
+def full_line_of(identity: Mapping[str, Any]) -> Line | None:
+    """As :func:`line_of`, None as well for another number of episodes than the task's own."""
+    line, n_episodes = line_of(identity), identity.get("n_episodes", DEFAULT.n_episodes)
+    if line is None or preset(identity["env"], line.method, line.recipe).n_episodes != n_episodes:
+        return None
+    return line
+
+
+def is_current(line: Line, measured: Collection[Line]) -> bool:
+    """Whether a line is of today, or of an older version while today's like it is not among those measured."""
+    return line == line.of_today() or line.of_today() not in measured
+
+
+def current_runs(env: str) -> dict[Line, list[dict[str, Any]]]:
+    """Published runs of a task by line, as far as its options have a name: of the most episodes in each line."""
+    longest: dict[tuple[Line, int], dict[str, Any]] = {}
     for run in sorted(learning_curves(env), key=lambda run: run["config"]["n_episodes"]):
-        name = line_of(env, run["config_hash"], run["config"]["n_episodes"])
-        if name is not None:
-            longest[name, run["seed"]] = run
-    runs: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for (name, _), run in sorted(longest.items()):
-        runs[name].append(run)
-    for name, group in runs.items():  # seeds of one length: a mean over others would compare different amounts
+        line = line_of(identity_of(run["config"]))
+        if line is not None:
+            longest[line, run["seed"]] = run
+    found: dict[Line, list[dict[str, Any]]] = defaultdict(list)
+    for (line, _), run in sorted(longest.items(), key=lambda item: (item[0][0].rank(), item[0][1])):
+        found[line].append(run)
+    for line, group in found.items():  # seeds of one length: a mean over others would compare different amounts
         most = max(run["config"]["n_episodes"] for run in group)
-        runs[name] = [run for run in group if run["config"]["n_episodes"] == most]
-    return runs
+        found[line] = [run for run in group if run["config"]["n_episodes"] == most]
+    return {line: runs for line, runs in found.items() if is_current(line, found)}
 
 
 def recorded(runs: list[dict[str, Any]], column: str) -> list[dict[str, Any]]:
@@ -89,15 +152,21 @@ def over_seeds(runs: list[dict[str, Any]], column: str) -> tuple[np.ndarray, np.
     return np.array(episodes), np.array([mean for mean, _ in summaries]), np.array(ends).reshape(-1, 2).T
 
 
-def draw(axis: Any, runs: dict[str, list[dict[str, Any]]], column: str) -> None:
-    """One panel: every method's curve."""
-    for method in LINES:
-        if runs.get(method):
-            episodes, means, ends = over_seeds(runs[method], column)
-            if len(episodes):
-                label = f"{method} ({len(recorded(runs[method], column))})"
-                axis.plot(episodes, means, color=COLORS[method], label=label, linewidth=1.2)
-                axis.fill_between(episodes, *ends, color=COLORS[method], alpha=0.15, linewidth=0)
+def draw(axis: Any, env: str, runs: Mapping[Line, list[dict[str, Any]]], column: str) -> None:
+    """One panel: a curve per line, of the method's colour; a recipe that all lines have stands in the title."""
+    in_title = {line.recipe for line in runs if line.in_figures}
+    in_title = in_title if len(in_title) == 1 else set()
+    drawn: dict[str, int] = defaultdict(int)
+    for line in runs:
+        episodes, means, ends = over_seeds(runs[line], column) if line.in_figures else ((), (), ())
+        if len(episodes):
+            name = replace(line, recipe=PAPER).name if line.recipe in in_title else line.name
+            label, color = f"{name} ({len(recorded(runs[line], column))})", COLORS[line.method]
+            style = STYLES[drawn[line.method] % len(STYLES)]
+            axis.plot(episodes, means, color=color, label=label, linewidth=1.2, linestyle=style)
+            axis.fill_between(episodes, *ends, color=color, alpha=0.15, linewidth=0)
+            drawn[line.method] += 1
+    axis.set_title(" + ".join([env, *(in_title - {PAPER})]), fontsize=9)
     axis.set(xlabel="episodes", ylabel=TITLES[column])
     if axis.lines:
         axis.legend(fontsize=6, title="method (seeds)", title_fontsize=6)
@@ -115,8 +184,7 @@ def grid(panels: list[tuple[str, str]], n_columns: int, path: Path) -> None:
     n_rows = -(-len(panels) // n_columns)
     figure, axes = plt.subplots(n_rows, n_columns, figsize=(3.1 * n_columns, 2.5 * n_rows), layout="constrained")
     for axis, (env, column) in zip(np.ravel(axes), panels, strict=True):
-        draw(axis, current_runs(env), column)
-        axis.set_title(env, fontsize=9)
+        draw(axis, env, current_runs(env), column)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)
     print(f"picture: {path}")
@@ -131,7 +199,7 @@ def main() -> int:
     """Draw the figures; name the cells that were not run."""
     read_options(CurveOptions, "curves")
     for env in suite("paper"):
-        missing = [method for method in METHODS if not current_runs(env).get(method)]
+        missing = [line.name for line in expected_lines(env) if line not in current_runs(env)]
         if missing:
             print(f"{env}: not run: {', '.join(missing)}")
     columns = ("success_rate", "max_reward")

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from scipy.stats import pearsonr, spearmanr
 
-from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
+from benchmarks.cells import RESULTS, append_result, as_text, checkpoint_of, find, read_results
 from benchmarks.command import read_options
 from benchmarks.maze_truth import MazeSearch
 from napsp import envs as tasks
@@ -109,7 +109,7 @@ def main() -> int:
     figures = agreement(probe, straight)
     _show("euclidean", "-", figures)
     sizes = {"n_states": options.n_states, "n_goals": options.n_goals}
-    key = {"env": env_name, "method": "euclidean", "seed": "", "config_hash": "", **sizes}
+    key = {"env": env_name, "method": "euclidean", "seed": "", "training": "", **sizes}
     if find(read_results(path), key) is None:
         append_result(path, {**key, "revision": git_revision(), **figures})
     for (method, seed), (model, config) in models.items():
@@ -118,7 +118,7 @@ def main() -> int:
         with torch.inference_mode():
             figures = agreement(probe, model.distance.steps(*rows).numpy().astype(np.float64))
         _show(method, seed, figures)
-        key = {"env": env_name, "method": method, "seed": seed, "config_hash": config.hash(), **sizes}
+        key = {"env": env_name, "method": method, "seed": seed, "training": as_text(config.identity()), **sizes}
         if find(read_results(path), key) is None:
             append_result(path, {**key, "revision": model.header["revision"], **figures})
     return 0

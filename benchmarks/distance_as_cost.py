@@ -17,8 +17,19 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
+from benchmarks.cells import (
+    RESULTS,
+    append_result,
+    as_text,
+    checkpoint_of,
+    find,
+    read_results,
+    training_of,
+    usual_recipe,
+)
 from benchmarks.command import read_options
+from benchmarks.curves import Line, full_line_of, is_current
+from benchmarks.planned import COLUMN, column
 from napsp import envs as tasks
 from napsp.config import preset
 from napsp.data.outcomes import evaluate
@@ -27,14 +38,14 @@ from napsp.policy.greedy import GreedyPolicy
 from napsp.statistics import describe, wilson_interval
 from napsp.storage.checkpoint import load_model
 from napsp.storage.revision import git_revision
-from planners.app.options import PlanOptions
-from planners.app.search_options import OPTIONS
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One line of the comparison: the checkpoint's method (None: no checkpoint) and the planner's options."""
+    """One line of the comparison: the checkpoint's method (None: no checkpoint) and what the planner has otherwise."""
 
     method: str | None
     planner: dict[str, Any] | None
@@ -50,7 +61,7 @@ VARIANTS: dict[str, Variant] = {
     "distance, mean and end": Variant("ours", {"cost": "distance", "where": "both"}),
     "distance, mean, no policy proposals": Variant("ours", {**DISTANCE, "proposals": False}),
     "distance, mean, greedy proposals instead of the policy's": Variant(
-        "ours", {**DISTANCE, "proposals": False, "greedy_proposals": True}
+        "ours", {**DISTANCE, "proposals": False, "distance.greedy_proposals": True}
     ),
     "distance, end, no policy proposals": Variant(
         "ours", {"cost": "distance", "where": "terminal", "proposals": False}
@@ -74,6 +85,8 @@ class CostOptions:
     """Checkpoints of these training seeds; missing ones are trained first."""
     training_episodes: int | None = None
     """Training episodes of the checkpoints; default the task's preset."""
+    recipe: str | None = None
+    """Recipe of the checkpoints, see napsp.train; default manipulation for pick and place, paper for all others."""
     episodes: int = 50
     """Episodes per cell."""
     seed: int = 80_000
@@ -91,28 +104,25 @@ def plan_episodes(session: Session, seeds: list[int]) -> tuple[list[bool], list[
     return [r.success for r in results], hits, float(np.median(np.concatenate([r.plan_ms for r in results])))
 
 
-def plan_options(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> PlanOptions:
-    """The planner of a cell."""
-    return OPTIONS["mppi"](
-        env=env_name,
-        samples=options.samples,
-        seed=options.seed,
-        checkpoint=checkpoint,
-        **(VARIANTS[variant].planner or {}),
-    )
+def plan_config(env_name: str, variant: str, options: CostOptions) -> PlanConfig[Any] | None:
+    """The planner of a cell; None for the policy alone."""
+    changes = VARIANTS[variant].planner
+    if changes is None:
+        return None
+    return PlanConfig.of("mppi", {"env": env_name, "search.samples": options.samples, **changes})
 
 
 def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> dict[str, Any]:
     """Run one cell of the table."""
-    seeds = [options.seed + i for i in range(options.episodes)]
-    if VARIANTS[variant].planner is None:
+    seeds, config = [options.seed + i for i in range(options.episodes)], plan_config(env_name, variant, options)
+    if config is None:
         assert checkpoint is not None
         model, env = load_model(checkpoint, env_name), tasks.make(env_name)
-        result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
+        result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.episode_length)
         success, hits = result.reached[:, -1].tolist(), result.first_hits[~np.isnan(result.first_hits)].tolist()
         milliseconds = 0.0
     else:
-        session = Session.open("mppi", plan_options(env_name, variant, checkpoint, options))
+        session = Session.open(config, RunOptions(seed=options.seed, checkpoint=checkpoint))
         success, hits, milliseconds = plan_episodes(session, seeds)
         session.close()
     return {
@@ -123,19 +133,32 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
     }
 
 
-def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, str]]:
-    """Rows of the default episodes and samples whose settings, of training and planner, are today's."""
-    kept = []
+def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
+    """Rows of the default episodes and samples whose planner is today's, with the ``line`` of their training.
+
+    That is the variant's method as the task is compared by, or an older version of it while today's has no row; None
+    where no model is asked.
+    """
+    found: list[tuple[Line | None, dict[str, str]]] = []
     for row in rows:
         variant, options = VARIANTS.get(row["variant"]), CostOptions(env=row["env"])
         if variant is None:
             continue
-        planner = plan_options(row["env"], row["variant"], None, options).hash() if variant.planner else ""
-        training = preset(row["env"], method=variant.method).hash() if variant.method else ""
-        today = (planner, training, str(options.samples), str(options.episodes), str(options.seed))
-        if tuple(row[n] for n in ("planner_hash", "training_hash", "samples", "episodes", "seed")) == today:
-            kept.append(row)
-    return kept
+        sizes = (column(plan_config(row["env"], row["variant"], options)),
+                 str(options.samples), str(options.episodes), str(options.seed))  # fmt: skip
+        if tuple(row[n] for n in (COLUMN, "samples", "episodes", "seed")) != sizes:
+            continue
+        training = training_of(row)
+        line = full_line_of(training) if training else None
+        wanted = Line(variant.method, usual_recipe(row["env"])) if variant.method else None
+        if (line.of_today() if line else None) == wanted and bool(training) == bool(wanted):
+            found.append((line, row))
+    measured = {(row["env"], row["variant"], line) for line, row in found}
+    return [
+        {**row, "line": line}
+        for line, row in found
+        if line is None or is_current(line, [m[2] for m in measured if m[2] and m[:2] == (row["env"], row["variant"])])
+    ]
 
 
 def main() -> int:
@@ -147,15 +170,16 @@ def main() -> int:
     if unknown:
         raise UserError(f"unknown variant {unknown.pop()!r}; choose from: {'; '.join(VARIANTS)}")
     length = {"n_episodes": options.training_episodes} if options.training_episodes is not None else {}
+    recipe = options.recipe or usual_recipe(env_name)
     is_maze = hasattr(tasks.make(env_name).unwrapped, "shortest_steps")
     for variant in options.variants or [name for name in VARIANTS if is_maze or "shortest" not in name]:
-        method, planner = VARIANTS[variant].method, VARIANTS[variant].planner
+        method = VARIANTS[variant].method
         for training_seed in options.training_seeds if method else ("",):
-            config = preset(env_name, method=method, seed=training_seed, **length) if method else None
+            config = preset(env_name, method, recipe, length, seed=training_seed) if method else None
             key = {
                 "env": env_name, "variant": variant, "training_seed": training_seed,
-                "training_hash": config.hash() if config else "",
-                "planner_hash": plan_options(env_name, variant, None, options).hash() if planner else "",
+                "training": as_text(config.identity() if config else None),
+                COLUMN: column(plan_config(env_name, variant, options)),
                 "samples": options.samples, "episodes": options.episodes, "seed": options.seed,
             }  # fmt: skip
             row = find(read_results(path), key)

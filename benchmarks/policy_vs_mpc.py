@@ -17,13 +17,24 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, append_result, checkpoint_of, find, read_results
+from benchmarks.cells import (
+    RESULTS,
+    append_result,
+    as_text,
+    checkpoint_of,
+    find,
+    read_results,
+    training_beside,
+    training_of,
+    usual_recipe,
+)
 from benchmarks.command import read_options
-from benchmarks.curves import LINES, line_of
+from benchmarks.curves import Line, is_current, line_of
+from benchmarks.planned import COLUMN, column
 from mpc.motion import action_rate
 from mpc.rollout import available_cores
 from napsp import envs as tasks
-from napsp.config import TrainConfig, preset
+from napsp.config import DEFAULT, TrainConfig, preset
 from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
@@ -31,8 +42,8 @@ from napsp.statistics import describe, paired_proportions, wilson_interval
 from napsp.storage.checkpoint import load_model
 from napsp.storage.record import save_figure
 from napsp.storage.revision import git_revision
-from planners.app.options import PlanOptions
-from planners.app.search_options import OPTIONS
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 FILE = RESULTS / "policy_vs_mpc.csv"
@@ -54,6 +65,11 @@ class VersusOptions:
     """With and without the policy's rollout among the samples."""
     smoothing: bool = True
     """Also the first planner with the smoothing layer, at every budget."""
+    checkpoint: Path | None = None
+    """Model file or folder of a finished run, or the name of one that ships, in place of those that the following
+    options describe."""
+    recipe: str | None = None
+    """Recipe of the checkpoint, see napsp.train; default manipulation for pick and place, paper for all others."""
     training_seed: int = 0
     """Training seed of the checkpoint, which is trained first if it does not exist."""
     training_episodes: int | None = None
@@ -70,32 +86,31 @@ class VersusOptions:
     """First episode seed; these seeds were never used for tuning."""
 
 
-def plan_options(
-    env: str, planner: str, budget: int, proposals: bool, checkpoint: Path | None, seed: int
-) -> PlanOptions:
-    """Options that simulate ``budget`` plans per control step."""
+def plan_config(env: str, planner: str, budget: int, proposals: bool) -> PlanConfig[Any] | None:
+    """A planner that simulates ``budget`` plans per control step; None for the policy alone."""
+    if not budget:
+        return None
     name, smooth, _ = planner.partition(SMOOTHING)
-    kind: Any = OPTIONS[name]
-    refinements = kind.refinements
-    shares = sum(getattr(kind, "decay", 1.0) ** -i for i in range(refinements))
+    search: Any = PlanConfig.of(name).search
+    shares = sum(getattr(search, "decay", 1.0) ** -i for i in range(search.refinements))
     samples = max(1, round(budget / shares))
-    elites = {"elites": min(kind.elites, max(2, samples // 4))} if hasattr(kind, "elites") else {}
-    return kind(
-        env=env, samples=samples, proposals=proposals, checkpoint=checkpoint, seed=seed, smooth=bool(smooth), **elites
-    )
+    changes = {"env": env, "search.samples": samples, "proposals": proposals, "smooth": bool(smooth)}
+    if hasattr(search, "elites"):
+        changes["search.elites"] = min(search.elites, max(2, samples // 4))
+    return PlanConfig.of(name, changes)
 
 
 def run_policy(env_name: str, checkpoint: Path, seeds: list[int]) -> dict[str, Any]:
     """The policy alone on every seed."""
     model, env = load_model(checkpoint, env_name), tasks.make(env_name)
-    result, episodes = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.horizon)
+    result, episodes = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.episode_length)
     hits = [None if np.isnan(hit) else int(hit) for hit in result.first_hits]
     return _figures(result.reached[:, -1].tolist(), hits, 0.0, [action_rate(actions) for actions in episodes.actions])
 
 
-def run_planner(options: PlanOptions, planner: str, seeds: list[int]) -> dict[str, Any]:
+def run_planner(config: PlanConfig[Any], checkpoint: Path, seeds: list[int]) -> dict[str, Any]:
     """A planner on every seed."""
-    session = Session.open(planner.removesuffix(SMOOTHING), options)
+    session = Session.open(config, RunOptions(seed=seeds[0], checkpoint=checkpoint))
     results = [session.run_episode(seed) for seed in seeds]
     session.close()
     milliseconds = float(np.median(np.concatenate([result.plan_ms for result in results])))
@@ -118,42 +133,78 @@ def _figures(
     }
 
 
-def cells(options: VersusOptions) -> list[tuple[TrainConfig, str, int, bool]]:
-    """Configuration, planner ("policy" for none), budget, proposals."""
-    env_name, found = tasks.canonical_name(options.env), []
-    length: dict[str, Any] = {"n_episodes": options.training_episodes} if options.training_episodes is not None else {}
-    asked: dict[str, Any] = {"seed": options.training_seed, "first_arrival": options.first_arrival}
+@dataclass(frozen=True)
+class Subject:
+    """Whose policy and distance are compared.
+
+    Attributes:
+        env: the task.
+        training: what it was, or is to be, trained with.
+        seed: training seed.
+        source: a model there is, or the configuration to train.
+    """
+
+    env: str
+    training: dict[str, Any]
+    seed: int
+    source: Path | TrainConfig
+
+    @property
+    def n_episodes(self) -> int:
+        """Training episodes."""
+        return self.training.get("n_episodes", DEFAULT.n_episodes)
+
+    def checkpoint(self) -> Path:
+        """The model; trained when needed."""
+        return self.source if isinstance(self.source, Path) else checkpoint_of(self.source)
+
+
+def subjects(options: VersusOptions) -> list[Subject]:
+    """Models to compare with."""
+    env = tasks.canonical_name(options.env)
+    if options.checkpoint is not None:
+        load_model(options.checkpoint, env)  # a wrong one fails in one sentence
+        return [Subject(env, *training_beside(options.checkpoint, env), options.checkpoint)]
+    changes: dict[str, Any] = {"temporal.first_arrival": True} if options.first_arrival else {}
     if options.episodes_per_iteration is not None:
-        asked["episodes_per_iteration"] = options.episodes_per_iteration
-    configs = [preset(env_name, **asked, **length)]
-    configs += [preset(env_name, **asked, n_episodes=n) for n in options.progress]
-    for config in configs:
-        found.append((config, "policy", 0, False))
-        for planner in options.planners:
-            for budget in options.budgets:
-                found += [(config, planner, budget, proposals) for proposals in options.proposals]
-        if options.smoothing and options.planners:
-            name = options.planners[0] + SMOOTHING
-            found += [(config, name, budget, p) for budget in options.budgets for p in options.proposals]
+        changes["episodes_per_iteration"] = options.episodes_per_iteration
+    recipe, found = options.recipe or usual_recipe(env), []
+    for n_episodes in (options.training_episodes, *options.progress):
+        length = {} if n_episodes is None else {"n_episodes": n_episodes}
+        config = preset(env, "ours", recipe, {**changes, **length}, seed=options.training_seed)
+        found.append(Subject(env, config.identity(), config.seed, config))
     return found
 
 
-def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, options: VersusOptions) -> dict[str, str]:
+def cells(options: VersusOptions) -> list[tuple[Subject, str, int, bool]]:
+    """Model, planner ("policy" for none), budget, proposals."""
+    found = []
+    for subject in subjects(options):
+        found.append((subject, "policy", 0, False))
+        for planner in options.planners:
+            for budget in options.budgets:
+                found += [(subject, planner, budget, proposals) for proposals in options.proposals]
+        if options.smoothing and options.planners:
+            name = options.planners[0] + SMOOTHING
+            found += [(subject, name, budget, p) for budget in options.budgets for p in options.proposals]
+    return found
+
+
+def run_cell(subject: Subject, planner: str, budget: int, proposals: bool, options: VersusOptions) -> dict[str, str]:
     """The row of a cell; run if it is not there yet."""
-    settings = plan_options(config.env, planner, budget, proposals, None, options.seed) if budget else None
+    planned = plan_config(subject.env, planner, budget, proposals)
     key = {
-        "env": config.env, "planner": planner, "budget": budget, "proposals": int(proposals),
-        "training_seed": config.seed, "training_episodes": config.n_episodes, "training_hash": config.hash(),
-        "planner_hash": settings.hash() if settings else "", "episodes": options.episodes, "seed": options.seed,
+        "env": subject.env, "planner": planner, "budget": budget, "proposals": int(proposals),
+        "training_seed": subject.seed, "training_episodes": subject.n_episodes, "training": as_text(subject.training),
+        COLUMN: column(planned), "episodes": options.episodes, "seed": options.seed,
     }  # fmt: skip
     row = find(read_results(FILE), key)
     if row is None:
-        checkpoint, seeds = checkpoint_of(config), [options.seed + i for i in range(options.episodes)]
-        if settings is None:
-            figures = run_policy(config.env, checkpoint, seeds)
+        checkpoint, seeds = subject.checkpoint(), [options.seed + i for i in range(options.episodes)]
+        if planned is None:
+            figures = run_policy(subject.env, checkpoint, seeds)
         else:
-            settings = plan_options(config.env, planner, budget, proposals, checkpoint, options.seed)
-            figures = run_planner(settings, planner, seeds)
+            figures = run_planner(planned, checkpoint, seeds)
         append_result(FILE, {**key, **figures, "revision": git_revision(), "cores": available_cores()})
         row = find(read_results(FILE), key)
     assert row is not None
@@ -162,22 +213,26 @@ def run_cell(config: TrainConfig, planner: str, budget: int, proposals: bool, op
 
 def comparable(
     rows: Iterable[dict[str, str]], episodes: int = 50, seed: int = 90_000, training_seed: int = 0
-) -> list[dict[str, str]]:
-    """Rows of the same episodes, with the name of their ``training``, whose settings are all today's.
+) -> list[dict[str, Any]]:
+    """Rows of the same episodes whose planner is today's, with the ``line`` that their training belongs to.
 
     All are of one training seed: a line through several would mix policies.
     """
-    kept = []
+    found: list[tuple[Line, dict[str, Any]]] = []
     for row in rows:
-        training = line_of(row["env"], row["training_hash"], int(row["training_episodes"]))
+        line = line_of(training_of(row) or {})
         same = (row["episodes"], row["seed"], row["training_seed"]) == (str(episodes), str(seed), str(training_seed))
-        if training is None or not same:
+        if line is None or not same:
             continue
         budget, proposals = int(row["budget"]), row["proposals"] == "1"
-        settings = plan_options(row["env"], row["planner"], budget, proposals, None, seed) if budget else None
-        if row["planner_hash"] == (settings.hash() if settings else ""):
-            kept.append({**row, "training": training})
-    return kept
+        if row[COLUMN] == column(plan_config(row["env"], row["planner"], budget, proposals)):
+            found.append((line, row))
+    measured = {(row["env"], line) for line, row in found}
+    return [
+        {**row, "line": line}
+        for line, row in found
+        if is_current(line, [other for env, other in measured if env == row["env"]])
+    ]
 
 
 def draw(env_name: str, episodes: int = 50, seed: int = 90_000, training_seed: int = 0) -> Path | None:
@@ -189,13 +244,14 @@ def draw(env_name: str, episodes: int = 50, seed: int = 90_000, training_seed: i
 
     own = (row for row in read_results(FILE) if row["env"] == env_name)
     found = comparable(own, episodes, seed, training_seed)
-    rows = [row for row in found if row["training"] in LINES]
+    rows = [row for row in found if row["line"].in_figures]
+    several = len({row["line"] for row in rows}) > 1
     last, panels = max((int(row["training_episodes"]) for row in rows), default=0), {}
     for x in ("budget", "training_episodes"):
         lines: dict[str, list[tuple[int, float]]] = {}
         for row in rows:
             name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
-            name += row["training"].removeprefix("ours")  # named options, if any
+            name += f" ({row['line'].name})" if several else ""
             if (int(row["training_episodes"]) == last) if x == "budget" else (row["budget"] in ("0", "64")):
                 lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
         if any(len(points) > 1 for points in lines.values()):
@@ -217,7 +273,7 @@ def draw(env_name: str, episodes: int = 50, seed: int = 90_000, training_seed: i
             xlabel={"budget": "plans per control step"}.get(x, "training episodes"), ylabel="success", ylim=(0, 1.05)
         )
         axis.legend(fontsize=6)
-    figure.suptitle(env_name, fontsize=10)
+    figure.suptitle(env_name if several else f"{env_name}, {rows[0]['line'].name}", fontsize=10)
     save_figure(figure, path)
     return path
 
@@ -230,18 +286,20 @@ def main() -> int:
         raise UserError(f"unknown planner {unknown.pop()!r}; choose from: {', '.join(PLANNERS)}")
     torch.set_num_threads(1)
     policy: dict[int, str] = {}
-    for config, planner, budget, proposals in cells(options):
-        row = run_cell(config, planner, budget, proposals, options)
+    todo = cells(options)
+    for subject, planner, budget, proposals in todo:
+        row = run_cell(subject, planner, budget, proposals, options)
         n, successes = len(row["successes"]), row["successes"]
-        policy.setdefault(config.n_episodes, successes)
+        policy.setdefault(subject.n_episodes, successes)
         interval = describe(float(row["success_rate"]), wilson_interval(successes.count("1"), n))
-        mean, (low, high) = paired_proportions(_bits(successes), _bits(policy[config.n_episodes]))
+        mean, (low, high) = paired_proportions(_bits(successes), _bits(policy[subject.n_episodes]))
         name = f"{planner}{' + policy' if proposals else ''}"
-        training = f"{config.n_episodes} episodes{', first arrival' if config.first_arrival else ''}"
-        print(f"{config.env} after {training}  {name:30s} {budget:5d} plans  success {interval}  "
+        line = line_of(subject.training)
+        training = f"{line.name if line else 'other settings'}, {subject.n_episodes} episodes"
+        print(f"{subject.env}: {training}  {name:30s} {budget:5d} plans  success {interval}  "
               f"minus policy {mean:+.2f} [{low:+.2f}, {high:+.2f}]  {float(row['plan_ms_median']):.0f} ms",
               flush=True)  # fmt: skip
-    picture = draw(tasks.canonical_name(options.env), options.episodes, options.seed, options.training_seed)
+    picture = draw(tasks.canonical_name(options.env), options.episodes, options.seed, todo[0][0].seed)
     if picture is not None:
         print(f"picture: {picture}")
     return 0

@@ -29,16 +29,17 @@ from mujoco.rollout import Rollout
 
 from benchmarks.cells import report
 from benchmarks.command import read_options
+from benchmarks.raw_rollout import HELD, RawRollout
 from mpc.controller import Plan
 from mpc.rollout import RolloutEngine, available_cores
-from mpc.speed import HELD, RawRollout
 from napsp import envs as tasks
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics, get_state
 from napsp.envs.fetch import FetchReachEnv
 from napsp.errors import run_command
 from napsp.storage.revision import git_revision
-from planners.app.search_options import OPTIONS
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -129,18 +130,10 @@ def clocked(job: Callable[[], object], engine: RolloutEngine) -> tuple[float, fl
 
 def measure_plan(options: SpeedOptions) -> dict[str, Any]:
     """Ratios of plan, replay and raw."""
-    session = Session.open(
-        "mppi",
-        OPTIONS["mppi"](
-            env=options.env,
-            checkpoint=options.checkpoint,
-            samples=options.samples,
-            horizon=options.horizon,
-            threads=options.threads,
-            proposals=options.proposals,
-            planning_model=options.planning_model,
-        ),
-    )
+    changes = {"env": options.env, "horizon": options.horizon, "proposals": options.proposals}
+    changes |= {"search.samples": options.samples, "model.kind": options.planning_model}
+    run = RunOptions(checkpoint=options.checkpoint, threads=options.threads)
+    session = Session.open(PlanConfig.of("mppi", changes), run)
     world, controller = session.env.unwrapped, session.controller
     dynamics = world.dynamics  # decoration included, which plans leave out
     if options.planning_model == "coarse":

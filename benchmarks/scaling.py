@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import resource
 import sys
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,10 @@ from benchmarks.cells import RESULTS, machine, replace_results
 from benchmarks.rollout_speed import clocked
 from napsp import envs as tasks
 from napsp.envs.dynamics import get_state
+from napsp.settings import changed
 from napsp.storage.record import save_figure
-from planners.app.search_options import MPPIOptions
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 SAMPLES = tuple(2**k for k in range(4, 11))
@@ -33,7 +34,8 @@ State = tuple[np.ndarray, dict[str, np.ndarray]]
 
 def episode_states(env: str, horizon: int, rounds: int) -> list[State]:
     """States along one episode that is planned with the straight-line cost."""
-    session = Session.open("mppi", MPPIOptions(env=env, horizon=horizon, threads=1, cost="euclidean"))
+    config = PlanConfig.of("mppi", {"env": env, "horizon": horizon, "cost": "euclidean"})
+    session = Session.open(config, RunOptions(threads=1))
     world, states = session.env.unwrapped, []
     observation, _ = session.env.reset(seed=0)
     for _ in range(rounds):
@@ -49,28 +51,28 @@ def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0**2 if sys.platform == "darwin" else 1024.0)
 
 
-def measure(options: MPPIOptions, sizes: list[tuple[int, int]], rounds: int) -> list[dict[str, Any]]:
+def measure(
+    config: PlanConfig[Any], options: RunOptions, sizes: list[tuple[int, int]], rounds: int
+) -> list[dict[str, Any]]:
     """One row per size (samples, horizon), the smallest first: a peak of memory is then due to the last one.
 
     Every size opens its own environment, whose memory the allocator reuses from about the fourth one on: what the
     samples themselves need shows in the larger sizes.
     """
-    states, rows = episode_states(options.env, options.steps_ahead, rounds), []
+    states, rows = episode_states(config.env, config.usual.horizon, rounds), []
     for samples, horizon in sorted(sizes, key=lambda size: size[0] * size[1]):
         gc.collect()  # the last size's environment, whose parts refer to each other
         before = peak_mb()
-        session = Session.open("mppi", replace(options, samples=samples, horizon=horizon))
+        session = Session.open(changed(config, {"search.samples": samples, "horizon": horizon}), options)
         controller = session.controller
         controller.plan_from(*states[0])  # first call: allocation
         times = [clocked(partial(controller.plan_from, *state), controller.engine) for state in states]
         wall, cpu = (round(float(ms), 4) for ms in 1e3 * np.median(times, axis=0))
         session.close()
-        row = dict(zip(COLUMNS, (options.env, options.cost, horizon, samples), strict=True))
+        row = dict(zip(COLUMNS, (config.env, config.cost, horizon, samples), strict=True))
         row |= {"threads": controller.engine.n_threads, "cpu_ms": cpu, "wall_ms": wall}
         rows.append(row | {"peak_mb_before": round(before, 1), "peak_mb_after": round(peak_mb(), 1)} | machine())
-        print(
-            f"{options.env:12s} {samples:5d} x {horizon:2d} {wall:9.2f} ms wall {cpu:9.2f} ms CPU {peak_mb():7.1f} MB"
-        )
+        print(f"{config.env:12s} {samples:5d} x {horizon:2d} {wall:9.2f} ms wall {cpu:9.2f} ms CPU {peak_mb():7.1f} MB")
     return rows
 
 
@@ -104,8 +106,10 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     save_figure(figure, path)
 
 
-def run(options: MPPIOptions, samples: tuple[int, ...], horizons: tuple[int, ...], rounds: int) -> None:
+def run(
+    config: PlanConfig[Any], options: RunOptions, samples: tuple[int, ...], horizons: tuple[int, ...], rounds: int
+) -> None:
     """Measure every size, fit, write rows and figure."""
-    rows = measure(options, [(n, h) for n in samples for h in horizons], rounds)
+    rows = measure(config, options, [(n, h) for n in samples for h in horizons], rounds)
     replace_results(RESULTS / "throughput_scaling.csv", COLUMNS, rows)
-    draw(rows, RESULTS / f"throughput_scaling_{tasks.file_name(options.env)}.png")
+    draw(rows, RESULTS / f"throughput_scaling_{tasks.file_name(config.env)}.png")

@@ -16,15 +16,26 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, append_result, find, read_results, shipped_training
+from benchmarks.cells import (
+    RESULTS,
+    append_result,
+    as_text,
+    find,
+    read_results,
+    shipped_training,
+    training_beside,
+    training_of,
+)
 from benchmarks.command import read_options
+from benchmarks.planned import COLUMN, column
 from napsp import envs as tasks
 from napsp.errors import UserError, run_command
 from napsp.statistics import describe, paired_difference, wilson_interval
 from napsp.storage.record import save_figure
 from napsp.storage.revision import git_revision
+from planners.app.config import PlanConfig
 from planners.app.episode import EpisodeResult
-from planners.app.search_options import OPTIONS
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 PLAIN, SMOOTHED = "plain", "smoothed"
@@ -34,14 +45,14 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "low-pass 0.3": {"low_pass": 0.3},
     "low-pass 0.6": {"low_pass": 0.6},
     "low-pass 0.8": {"low_pass": 0.8},
-    "smoothed, rate 4": {"smooth": True, "smooth_rate": 4.0, "smooth_jerk": 1.2},
-    "smoothed, tolerance 1": {"smooth": True, "smooth_tolerance": 1.0, "smooth_rate": 4.0, "smooth_jerk": 1.2},
+    "smoothed, rate 4": {"smooth": True, "smooth.rate": 4.0, "smooth.jerk": 1.2},
+    "smoothed, tolerance 1": {"smooth": True, "smooth.tolerance": 1.0, "smooth.rate": 4.0, "smooth.jerk": 1.2},
 }
 USUAL = (PLAIN, SMOOTHED, "low-pass 0.3", "low-pass 0.6", "coloured noise")
 COLOURED: dict[str, dict[str, Any]] = {
-    "mppi": {"noise_correlation": 0.95},
-    "predictive_sampling": {"noise_correlation": 0.95},
-    "icem": {"noise_exponent": 4.0},
+    "mppi": {"search.noise_correlation": 0.95},
+    "predictive_sampling": {"search.noise_correlation": 0.95},
+    "icem": {"search.noise_exponent": 4.0},
 }
 """Noise of slower changes than the planner's own."""
 FIGURES = ("action_rate", "jerk", "search_ms", "smoothing_ms", "accepted_share", "kept_share", "linearise_ms",
@@ -70,16 +81,15 @@ class SmoothingOptions:
     """Simulation threads."""
 
 
+def plan_config(env: str, planner: str, proposals: bool, settings: dict[str, Any]) -> PlanConfig[Any]:
+    """A planner in one variant."""
+    return PlanConfig.of(planner, {"env": env, "proposals": proposals, **settings})
+
+
 def open_session(options: SmoothingOptions, settings: dict[str, Any]) -> Session:
     """A planning session of one variant."""
-    shared = {
-        "env": options.env,
-        "checkpoint": options.checkpoint,
-        "proposals": options.proposals,
-        "seed": options.seed,
-        "threads": options.threads,
-    }
-    return Session.open(options.planner, OPTIONS[options.planner](**shared, **settings))
+    config = plan_config(options.env, options.planner, options.proposals, settings)
+    return Session.open(config, RunOptions(seed=options.seed, checkpoint=options.checkpoint, threads=options.threads))
 
 
 def run_cell(session: Session, options: SmoothingOptions) -> dict[str, Any]:
@@ -110,9 +120,9 @@ def comparable(rows: Sequence[Any], episodes: int = 50, seed: int = 90_000) -> l
         settings = variants_of(row["planner"]).get(row["variant"])
         if settings is None or (row["episodes"], row["seed"], row["threads"]) != (str(episodes), str(seed), "1"):
             continue
-        options = OPTIONS[row["planner"]](env=row["env"], proposals=row["proposals"] == "True", **settings)
-        same_model = (row["training_hash"], int(row["training_seed"])) == shipped_training(row["env"])
-        if same_model and options.hash() == row["config_hash"]:
+        planned = plan_config(row["env"], row["planner"], row["proposals"] == "True", settings)
+        same_model = (training_of(row), int(row["training_seed"])) == shipped_training(row["env"])
+        if same_model and column(planned) == row[COLUMN]:
             kept.append(row)
     return kept
 
@@ -216,12 +226,11 @@ def main() -> int:
     for variant in (name for name in options.variants if name in variants):
         settings = variants[variant]
         session = open_session(options, settings)
-        assert session.model is not None  # the learned distance is the default cost
-        training = session.model.config
+        training, training_seed = training_beside(options.checkpoint, env_name)
         key = {
             "env": env_name, "planner": options.planner, "proposals": options.proposals, "variant": variant,
-            "config_hash": session.summary()["config_hash"], "episodes": options.episodes, "seed": options.seed,
-            "training_hash": training.hash(), "training_seed": training.seed, "threads": options.threads,
+            COLUMN: column(session.config), "episodes": options.episodes, "seed": options.seed,
+            "training": as_text(training), "training_seed": training_seed, "threads": options.threads,
         }  # fmt: skip
         if find(read_results(path), key) is None:
             append_result(path, {**key, **run_cell(session, options), "revision": git_revision()})

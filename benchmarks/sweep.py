@@ -17,12 +17,13 @@ from typing import Any, Literal
 
 import torch
 
-from benchmarks.cells import ROWS, BusyError, cell_name, published, trained
+from benchmarks.cells import ROWS, BusyError, cell_name, published, trained, usual_recipe
 from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.config import METHODS, TrainConfig, preset
 from napsp.envs.cards import suite
 from napsp.errors import UserError, run_command
+from napsp.execution import Execution
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class SweepOptions:
     """Tasks."""
     methods: tuple[str, ...] = METHODS
     """Methods."""
+    recipe: str | None = None
+    """paper or manipulation, see napsp.train; default manipulation for pick and place, paper for all others."""
     seeds: int = 3
     """Training seeds 0 .. seeds - 1."""
     n_episodes: int | None = None
@@ -42,7 +45,7 @@ class SweepOptions:
     episodes_per_iteration: int | None = None
     """Episodes collected per iteration; None takes each task's own. Updates are per iteration."""
     compiled: bool = False
-    """Compile the updates, see napsp.train: faster cells. Each update differs in rounding only; runs drift apart."""
+    """Compile the losses, see napsp.train: faster cells. Each update differs in rounding only; runs drift apart."""
     again: bool = False
     """Also train cells whose curves are in results/runs already; those stay as they are there."""
     jobs: int = 1
@@ -57,12 +60,19 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
     for seed in range(options.seeds):
         for env in options.envs:
             for method in options.methods:
-                asked: dict[str, Any] = {"first_arrival": options.first_arrival and method == "ours"}
-                asked["compiled"] = options.compiled
+                changes: dict[str, Any] = {}
+                if options.first_arrival and method == "ours":
+                    changes["temporal.first_arrival"] = True
                 for name in ("n_episodes", "episodes_per_iteration"):
                     if getattr(options, name) is not None:
-                        asked[name] = getattr(options, name)
-                yield preset(tasks.canonical_name(env), method=method, seed=seed, **asked)
+                        changes[name] = getattr(options, name)
+                recipe = options.recipe or usual_recipe(tasks.canonical_name(env))
+                yield preset(env, method, recipe, changes, seed=seed)
+
+
+def execution(options: SweepOptions) -> Execution:
+    """How every cell is trained: on one thread, for that is fastest with one process per core."""
+    return Execution(compiled=options.compiled)
 
 
 def work(options: SweepOptions) -> None:
@@ -72,7 +82,7 @@ def work(options: SweepOptions) -> None:
             print(f"{cell_name(config)}: already in {ROWS}", flush=True)
             continue
         try:
-            trained(config, wait=False)
+            trained(config, execution(options), wait=False)
         except BusyError:
             print(f"{cell_name(config)}: in work elsewhere", flush=True)
 
@@ -99,7 +109,7 @@ def work_on_ray(options: SweepOptions) -> None:
     def task(config: TrainConfig) -> None:
         os.chdir(folder)
         torch.set_num_threads(1)
-        trained(config)
+        trained(config, execution(options))
 
     ray.init(ignore_reinit_error=True)  # the cluster of RAY_ADDRESS, or this machine
     remote = ray.remote(num_cpus=1)(task)
@@ -112,7 +122,7 @@ def main() -> int:
     unknown = set(options.methods) - set(METHODS)
     if unknown:
         raise UserError(f"unknown method {unknown.pop()!r}; choose from: {', '.join(METHODS)}")
-    list(cells(options))  # unknown tasks fail before any work
+    list(cells(options))  # unknown tasks and recipes fail before any work
     torch.set_num_threads(1)
     if options.backend == "ray":
         work_on_ray(options)

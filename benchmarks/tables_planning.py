@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 
 from benchmarks import distance_as_cost, policy_vs_mpc, smoothing
-from benchmarks.cells import RESULTS, read_results, shipped_training
+from benchmarks.cells import RESULTS, read_results, shipped_training, training_of
 from napsp.envs.cards import suite
 from napsp.statistics import describe, paired_proportions, wilson_interval
 
@@ -23,7 +23,7 @@ def glance_table() -> list[str]:
         "(Newcombe's paired 95 % interval). Policy and distance are those of the checkpoint that ships: one training run per task, so the",
         "intervals do not cover the spread between runs. *Steps to goal* average over the episodes that got there at all.",
         "",
-        "| task | training episodes | straight line | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
+        "| task | training | straight line | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
         "|---|---|---|---|---|---|---|---|",
     ]
     lines += [f"| {env} | {' | '.join(_glance(env))} |" for env in suite("paper")]
@@ -42,7 +42,7 @@ def _glance(env: str) -> list[str]:
     planner, shipped = "icem" if "pick_place" in env else "mppi", shipped_training(env)
     found: dict[tuple[str, str], dict[str, str]] = {}
     for row in policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE), training_seed=shipped[1] if shipped else 0):
-        if row["env"] == env and shipped and row["training_hash"] == shipped[0] and row["budget"] in ("0", "64"):
+        if row["env"] == env and shipped and training_of(row) == shipped[0] and row["budget"] in ("0", "64"):
             found[row["planner"], row["proposals"]] = row
     straight = [
         _success(row)
@@ -56,7 +56,7 @@ def _glance(env: str) -> list[str]:
     gain, (low, high) = paired_proportions(*([float(hit) for hit in row["successes"]] for row in (plans, policy)))
     steps = [f"{float(row['mean_steps_to_goal'] or 'nan'):.1f}" for row in (policy, plans)]
     return [
-        policy["training_episodes"] + policy["training"].removeprefix("ours"),
+        f"{policy['line'].name}, {policy['training_episodes']} episodes",
         line, _success(policy), _success(alone) if alone else "not run", f"{_success(plans)} {planner}",
         f"{gain:+.2f} [{low:+.2f}, {high:+.2f}]", " / ".join(steps).replace("nan", "-"),
     ]  # fmt: skip
@@ -74,19 +74,19 @@ def _by_task(env: str) -> tuple[int, str]:
 
 def cost_table() -> list[str]:
     """Costs for planning, pooled over training seeds."""
-    groups: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
+    groups: dict[tuple[str, str, str], list[dict[str, str]]] = defaultdict(list)
     for row in distance_as_cost.comparable(read_results(RESULTS / "distance_as_cost.csv")):
-        groups[row["env"], row["variant"]].append(row)
+        groups[row["env"], row["variant"], row["line"].name if row["line"] else "-"].append(row)
     lines = [
         "### Which cost plans (`python -m benchmarks.distance_as_cost --env NAME`)",
         "",
         "MPPI, 64 samples, fresh episode seeds, success in the last step with its 95 % Wilson interval over all episodes;",
         "episodes of one checkpoint share its training, so read the rates per training seed as well.",
         "",
-        "| task | cost | success | per training seed | at goal in some step | steps to goal |",
-        "|---|---|---|---|---|---|",
+        "| task | cost | training | success | per training seed | at goal in some step | steps to goal |",
+        "|---|---|---|---|---|---|---|",
     ]
-    for (env, variant), rows in sorted(groups.items(), key=lambda group: _by_task(group[0][0])):
+    for (env, variant, training), rows in sorted(groups.items(), key=lambda group: _by_task(group[0][0])):
         n = sum(int(row["episodes"]) for row in rows)
         successes = sum(round(float(row["success_rate"]) * int(row["episodes"])) for row in rows)
         any_rate = sum(float(row["any_success_rate"]) for row in rows) / len(rows)
@@ -95,7 +95,7 @@ def cost_table() -> list[str]:
         steps = sum(n_hits * float(mean) for n_hits, mean in arrived) / sum(hits) if arrived else None
         seeds = ", ".join(f"{float(row['success_rate']):.2f}" for row in rows) if rows[0]["training_seed"] else "-"
         lines.append(
-            f"| {env} | {variant} | {describe(successes / n, wilson_interval(successes, n))} | {seeds} | {any_rate:.2f} "
+            f"| {env} | {variant} | {training} | {describe(successes / n, wilson_interval(successes, n))} | {seeds} | {any_rate:.2f} "
             f"| {'-' if steps is None else f'{steps:.1f}'} |"
         )
     return lines
@@ -109,7 +109,7 @@ def _cores(row: dict[str, str]) -> str:
 def versus_table() -> list[str]:
     """The policy against planners with the same distance."""
     rows = policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE))
-    rows.sort(key=lambda row: (*_by_task(row["env"]), -int(row["training_episodes"]), row["training"]))
+    rows.sort(key=lambda row: (*_by_task(row["env"]), -int(row["training_episodes"]), row["line"].name))
     lines = [
         "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
         "",
@@ -123,7 +123,7 @@ def versus_table() -> list[str]:
         policy = row["planner"] == "policy"
         steps = f"{float(row['mean_steps_to_goal']):.1f}" if row["mean_steps_to_goal"] else "-"
         lines.append(
-            f"| {row['env']} | {row['training']} | {row['training_episodes']} | {row['planner']} "
+            f"| {row['env']} | {row['line'].name} | {row['training_episodes']} | {row['planner']} "
             f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
             f"| {_success(row)} | {steps} "
             f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f}{_cores(row)} |"

@@ -30,13 +30,14 @@ from benchmarks.batch_simulator import Problem, UnavailableError
 from benchmarks.cells import RESULTS, machine, replace_results
 from benchmarks.command import read_options
 from benchmarks.peers import PEERS, Peer
+from benchmarks.raw_rollout import RawRollout
 from benchmarks.rollout_speed import Replay, clocked
 from mpc.rollout import Followed, Trajectories
-from mpc.speed import RawRollout
 from napsp import envs as tasks
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError, run_command
-from planners.app.search_options import MPPIOptions
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 RAW, OURS = "raw", "napsp"
@@ -70,9 +71,9 @@ class RecordedPlanner:
     """napsp's MPPI as a job to be timed; keeps what it simulated."""
 
     def __init__(self, env: str, samples: int, horizon: int, threads: int | None) -> None:
-        sizes: dict[str, Any] = {"samples": samples, "horizon": horizon, "threads": threads}
-        self.options = MPPIOptions(env=env, cost="euclidean", noise_correlation=0.0, **sizes)
-        self.session = Session.open("mppi", self.options)
+        changes = {"env": env, "cost": "euclidean", "horizon": horizon}
+        search = {"search.samples": samples, "search.noise_correlation": 0.0}
+        self.session = Session.open(PlanConfig.of("mppi", changes | search), RunOptions(threads=threads))
         self.world, self.engine = self.session.env.unwrapped, self.session.controller.engine
         self.actions, self.action = np.empty(0), np.empty(0)
         self._simulate = self.engine.rollout
@@ -118,7 +119,7 @@ def compare(env: str, samples: int, horizon: int, options: ThroughputOptions) ->
     observation, _ = ours.session.env.reset(seed=0)
     state = get_state(world.model, world.data)
     ours.plan(state, observation)  # forks its helpers, before other libraries start threads
-    problem = Problem(world, samples, horizon, ours.options.noise_scale, engine.n_threads)
+    problem = Problem(world, samples, horizon, ours.session.config.search.noise_scale, engine.n_threads)
     peers, notes = open_peers(problem)
     for peer in peers.values():
         peer.plan(state, observation)  # first call: allocation
@@ -190,11 +191,11 @@ def main() -> int:
         raise UserError("--scaling fits a line; give --samples at least 3 different sizes")
     torch.set_num_threads(1)
     for env in map(tasks.canonical_name, options.env):
-        steps = MPPIOptions(env=env).steps_ahead
+        steps = PlanConfig.of("mppi", {"env": env}).usual.horizon
         if options.scaling:
-            settings = MPPIOptions(env=env, cost=options.cost, threads=options.threads)
+            config = PlanConfig.of("mppi", {"env": env, "cost": options.cost})
             sizes = options.samples or scaling.SAMPLES, options.horizon or (steps, 2 * steps)
-            scaling.run(settings, *sizes, options.rounds)
+            scaling.run(config, RunOptions(threads=options.threads), *sizes, options.rounds)
             continue
         for samples in options.samples or (64,):
             for horizon in options.horizon or (steps,):

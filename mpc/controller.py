@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mpc.cost import Cost
-from mpc.knots import Interpolation, interpolation_matrix, shift_matrix
+from mpc.knots import SplineConfig, interpolation_matrix, shift_matrix
 from mpc.rollout import Actor, Followed, RolloutEngine, Trajectories
 from napsp.envs.dynamics import check_same_state, get_state
 
@@ -109,12 +109,11 @@ class Controller:
 
     Args:
         engine: exact batched rollouts of the environment's dynamics.
-        planner: the search algorithm over ``n_knots`` knots.
+        planner: the search algorithm over the spline's knots.
         cost: the objective.
         horizon: H, control steps per plan.
         rng: source of all randomness of planning, until :meth:`reset` names another.
-        n_knots: K; None gives every control step its own knot.
-        interpolation: how knots become controls.
+        spline: how many knots a plan has and how they become controls; default one per control step.
         n_refinements: sample-update rounds per plan call.
         proposals_from: actors, such as a policy, whose own rollouts join the samples.
         smoother: what smooths the plan before its first action is executed.
@@ -127,15 +126,15 @@ class Controller:
         cost: Cost,
         horizon: int,
         rng: np.random.Generator,
-        n_knots: int | None = None,
-        interpolation: Interpolation = "linear",
+        spline: SplineConfig | None = None,
         n_refinements: int = 1,
         proposals_from: Sequence[Actor] = (),
         smoother: Smoother | None = None,
     ) -> None:
         self.engine, self.planner, self.cost = engine, planner, cost
         self.horizon, self.rng, self.n_refinements = horizon, rng, n_refinements
-        n_knots = n_knots or horizon
+        spline = spline or SplineConfig()
+        n_knots, interpolation = spline.knots or horizon, spline.interpolation
         self._to_actions = interpolation_matrix(n_knots, horizon, interpolation)
         self._to_knots = np.linalg.pinv(self._to_actions)
         self._shift = shift_matrix(n_knots, horizon, interpolation)

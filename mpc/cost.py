@@ -16,7 +16,6 @@ import numpy as np
 import torch
 
 from mpc.rollout import Trajectories
-from napsp.distance.counts import uncertainty
 from napsp.storage.checkpoint import Model
 
 Where = Literal["terminal", "mean", "both"]
@@ -65,7 +64,7 @@ class LearnedSteps:
             raise ValueError("a model holds no distance (it was trained with --method sparse)")
         if pessimism and model.visits is None:
             raise ValueError("the model holds no visit counts; train it again, or use an ensemble")
-        self._policy, self._visits, self._config = model.policy, model.visits, model.config
+        self._policy, self._visits, self._uncertainty = model.policy, model.visits, model.config.uncertainty
         self._pessimism = pessimism
 
     def __call__(
@@ -80,8 +79,7 @@ class LearnedSteps:
             steps = torch.stack(found).amax(0).numpy().astype(np.float64)
         if self._pessimism and self._visits is not None:
             visits = self._visits(states.numpy(), chosen.numpy())
-            scale, power = self._config.uncertainty_scale, self._config.uncertainty_power
-            steps += self._pessimism * uncertainty(visits, scale, power)
+            steps += self._pessimism * self._uncertainty(visits)
         return steps
 
 

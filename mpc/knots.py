@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline, interp1d
 
+from napsp.settings import MANY, check_ranges
+
 Interpolation = Literal["zero", "linear", "cubic"]
+
+
+@dataclass(frozen=True)
+class SplineConfig:
+    """The knots of a plan: what the search varies."""
+
+    knots: int | None = None
+    """K, spline knots per plan; default one per control step."""
+    interpolation: Interpolation = "linear"
+    """How knots become controls."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, knots=(1, MANY))
 
 
 def interpolation_matrix(n_knots: int, horizon: int, kind: Interpolation, shift: float = 0.0) -> np.ndarray:

@@ -20,7 +20,7 @@ from napsp.envs.cards import CARDS, Recipe
 from napsp.errors import UserError
 from napsp.policy.agent import PolicyConfig
 from napsp.policy.her import HERConfig
-from napsp.settings import MANY, changed, check_choice, check_ranges, differences, digest, flat, to_dict
+from napsp.settings import MANY, changed, check_choice, check_ranges, digest, flat, to_dict
 
 METHODS = ("sparse", "ddl", "offpolicy_ddl", "ours")
 PAPER = "paper"
@@ -116,10 +116,7 @@ class TrainConfig:
 
     def identity(self) -> dict[str, Any]:
         """What this run asks, the seed apart: its differences from the defaults, by dotted names."""
-        return {k: v for k, v in differences(self, DEFAULT).items() if k not in ("env", "seed", "method", "recipe")} | {
-            "env": self.env,
-            "method": self.method,
-        }
+        return identity_of(to_dict(self))
 
     def digest(self) -> str:
         """Ten digits for :meth:`identity`, in file names."""
@@ -127,6 +124,21 @@ class TrainConfig:
 
 
 DEFAULT = TrainConfig()
+NO_DIFFERENCE = ("seed", "recipe")
+"""Options that are no part of a question: a recipe is the values that it sets."""
+
+
+def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """What a stored configuration asks, as :meth:`TrainConfig.identity`: task, method, differences from the defaults.
+
+    An option that ``values`` lack has today's default: whoever adds one chooses a default that leaves things as they
+    were. One that is unknown today is a difference, so such a row is never taken for one of today's.
+    """
+    usual, found = flat(to_dict(DEFAULT)), flat(values)
+    found = {name: float(v) if isinstance(usual.get(name), float) else v for name, v in found.items()}  # 1 is 1.0
+    different = {name: value for name, value in found.items() if name not in usual or usual[name] != value}
+    task = {"env": found.get("env", DEFAULT.env), "method": found.get("method", DEFAULT.method)}
+    return {name: value for name, value in different.items() if name not in NO_DIFFERENCE} | task
 
 
 def preset(
@@ -165,4 +177,6 @@ def from_dict(values: Mapping[str, Any]) -> TrainConfig:
         raise UserError(f"configuration does not fit this version of napsp ({error}); retrain it") from None
 
 
-__all__ = ["DEFAULT", "METHODS", "PAPER", "TrainConfig", "from_dict", "preset", "recipes", "to_dict"]
+__all__ = [
+    "DEFAULT", "METHODS", "PAPER", "TrainConfig", "from_dict", "identity_of", "preset", "recipes", "to_dict",
+]  # fmt: skip

@@ -6,9 +6,35 @@ Run it with ``python -m planners.mppi --env fetch_wall``.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from planners.sampling import correlated_noise
+from planners.sampling import MANY, check_ranges, correlated_noise
+
+
+@dataclass(frozen=True)
+class MPPIConfig:
+    """Search with MPPI: the exponentially weighted mean of noisy plans."""
+
+    samples: int = 64
+    """N, plans per refinement."""
+    refinements: int = 1
+    """Rounds of sampling per plan."""
+    noise_scale: float = 0.8
+    """Standard deviation of the sampled noise; controls lie in [-1, 1]."""
+    noise_correlation: float = 0.6
+    """Correlation of the noise between neighbouring knots, in [0, 1)."""
+    temperature: float = 0.2
+    """MPPI's lambda, in standard deviations of the sampled costs: the same value serves costs of any size."""
+
+    def least_samples(self, n_proposals: int) -> int:
+        """The mean, the best plan, proposals, and one with noise."""
+        return 2 + n_proposals + 1
+
+    def __post_init__(self) -> None:
+        check_ranges(self, samples=(1, MANY), refinements=(1, MANY), noise_scale=(0, 100))
+        check_ranges(self, noise_correlation=(0, 0.999), temperature=(1e-9, 1e9))
 
 
 class MPPI:
@@ -20,24 +46,11 @@ class MPPI:
     Args:
         n_knots: K.
         n_controls: U, each in [-1, 1].
-        n_samples: N, plans per refinement.
-        noise_scale: standard deviation of the noise, in control units.
-        noise_correlation: correlation of the noise between neighbouring knots, in [0, 1).
-        temperature: lambda, in standard deviations of the sampled costs, so that the same
-            value serves tasks with costs of any size.
+        config: how to search.
     """
 
-    def __init__(
-        self,
-        n_knots: int,
-        n_controls: int,
-        n_samples: int = 64,
-        noise_scale: float = 0.8,
-        noise_correlation: float = 0.6,
-        temperature: float = 0.2,
-    ) -> None:
-        self.n_samples = n_samples
-        self.noise_scale, self.noise_correlation, self.temperature = noise_scale, noise_correlation, temperature
+    def __init__(self, n_knots: int, n_controls: int, config: MPPIConfig | None = None) -> None:
+        self.config = config or MPPIConfig()
         self._shape = (n_knots, n_controls)
         self.reset()
 
@@ -45,7 +58,7 @@ class MPPI:
         """Forget the plan: the next episode starts from zero."""
         self.mean = np.zeros(self._shape)
         self.best: np.ndarray | None = None
-        self.effective_samples = float(self.n_samples)
+        self.effective_samples = float(self.config.samples)
 
     @property
     def plan(self) -> np.ndarray:
@@ -57,14 +70,14 @@ class MPPI:
 
         ``proposals`` ``(P, K, U)`` replace noisy plans; they come from a policy, say.
         """
-        noise = correlated_noise(rng, (self.n_samples, *self._shape), self.noise_correlation)
-        knots = self.mean + self.noise_scale * noise
+        noise = correlated_noise(rng, (self.config.samples, *self._shape), self.config.noise_correlation)
+        knots = self.mean + self.config.noise_scale * noise
         kept = [self.mean[None]]
         if self.best is not None:
             kept.append(self.best[None])
         if proposals is not None:
             kept.append(proposals)
-        first = np.concatenate(kept)[: self.n_samples]
+        first = np.concatenate(kept)[: self.config.samples]
         knots[: len(first)] = first
         return np.clip(knots, -1.0, 1.0)
 
@@ -75,7 +88,7 @@ class MPPI:
         """
         if not np.isfinite(costs).any():
             return
-        weights = softmin(costs, self.temperature)
+        weights = softmin(costs, self.config.temperature)
         counted = weights > 0.0  # NaN times zero is NaN
         self.mean = np.tensordot(weights[counted], knots[counted], axes=1)
         self.best = knots[np.nanargmin(costs)].copy()

@@ -6,9 +6,32 @@ it with ``python -m planners.predictive_sampling --env fetch_wall``.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from planners.sampling import best_plans, correlated_noise
+from planners.sampling import MANY, best_plans, check_ranges, correlated_noise
+
+
+@dataclass(frozen=True)
+class PredictiveSamplingConfig:
+    """Search with predictive sampling: noise around the best plan so far."""
+
+    samples: int = 64
+    """N, plans per refinement."""
+    refinements: int = 1
+    """Rounds of sampling per plan."""
+    noise_scale: float = 0.8
+    """Standard deviation of the sampled noise; controls lie in [-1, 1]."""
+    noise_correlation: float = 0.6
+    """Correlation of the noise between neighbouring knots, in [0, 1)."""
+
+    def least_samples(self, n_proposals: int) -> int:
+        """The plan, proposals, and one with noise."""
+        return 1 + n_proposals + 1
+
+    def __post_init__(self) -> None:
+        check_ranges(self, samples=(1, MANY), refinements=(1, MANY), noise_scale=(0, 100), noise_correlation=(0, 0.999))
 
 
 class PredictiveSampling:
@@ -17,20 +40,11 @@ class PredictiveSampling:
     Args:
         n_knots: K.
         n_controls: U, each in [-1, 1].
-        n_samples: N, plans per refinement.
-        noise_scale: standard deviation of the noise, in control units.
-        noise_correlation: correlation of the noise between neighbouring knots, in [0, 1).
+        config: how to search.
     """
 
-    def __init__(
-        self,
-        n_knots: int,
-        n_controls: int,
-        n_samples: int = 64,
-        noise_scale: float = 0.8,
-        noise_correlation: float = 0.6,
-    ) -> None:
-        self.n_samples, self.noise_scale, self.noise_correlation = n_samples, noise_scale, noise_correlation
+    def __init__(self, n_knots: int, n_controls: int, config: PredictiveSamplingConfig | None = None) -> None:
+        self.config = config or PredictiveSamplingConfig()
         self._shape = (n_knots, n_controls)
         self.reset()
 
@@ -41,9 +55,9 @@ class PredictiveSampling:
 
     def sample(self, rng: np.random.Generator, proposals: np.ndarray | None = None) -> np.ndarray:
         """Draw knots ``(N, K, U)``: the plan, proposals ``(P, K, U)``, and noise around the plan."""
-        noise = correlated_noise(rng, (self.n_samples, *self._shape), self.noise_correlation)
-        knots = self.plan + self.noise_scale * noise
-        first = np.concatenate([self.plan[None], *([] if proposals is None else [proposals])])[: self.n_samples]
+        noise = correlated_noise(rng, (self.config.samples, *self._shape), self.config.noise_correlation)
+        knots = self.plan + self.config.noise_scale * noise
+        first = np.concatenate([self.plan[None], *([] if proposals is None else [proposals])])[: self.config.samples]
         knots[: len(first)] = first
         return np.clip(knots, -1.0, 1.0)
 

@@ -1,8 +1,34 @@
-"""What the search algorithms share: time-correlated noise and choosing the best plans. Numpy only."""
+"""What the search algorithms share: bounds of options, time-correlated noise, choosing the best plans. Numpy only."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+
+MANY = 10**6
+
+
+def check_ranges(config: Any, **ranges: tuple[float, float]) -> None:
+    """Check that fields of a configuration lie within inclusive bounds.
+
+    Raises:
+        ValueError: one does not; NaN never does.
+    """
+    for name, (low, high) in ranges.items():
+        value = getattr(config, name)
+        if not low <= value <= high:  # false for NaN as well
+            raise ValueError(f"{name} is {value}; it must lie between {low:g} and {high:g}")
+
+
+def check_elites(elites: int, samples: int) -> None:
+    """Check that there are as many samples as elites are chosen from them.
+
+    Raises:
+        ValueError: there are not.
+    """
+    if elites > samples:
+        raise ValueError(f"elites is {elites}, which exceeds the {samples} samples; use fewer elites or more samples")
 
 
 def correlated_noise(rng: np.random.Generator, shape: tuple[int, int, int], correlation: float) -> np.ndarray:

@@ -12,17 +12,25 @@ import pytest
 from test_train import tiny
 
 from benchmarks import cells, curves, distance_as_cost, policy_vs_mpc, smoothing, sweep, tables_training
-from napsp.presets import preset
+from benchmarks.curves import Line
+from napsp.config import from_dict, identity_of, preset, to_dict
+from napsp.envs.cards import CARDS
+from napsp.execution import Execution
+from napsp.settings import changed, digest, flat
 from napsp.statistics import describe, interquartile_mean, paired_difference, paired_proportions
 
 ROOT = Path(__file__).parents[1]
+
+
+def tiny_preset(env, method="ours", recipe="paper", changes=None, **more):
+    return tiny(env, method, recipe, **(changes or {}), **more)
 
 
 @pytest.fixture
 def workplace(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for module in (sweep, curves):
-        monkeypatch.setattr(module, "preset", tiny)
+        monkeypatch.setattr(module, "preset", tiny_preset)
     return tmp_path
 
 
@@ -46,9 +54,9 @@ def test_sweep_trains_every_cell_once_and_publishes_it(workplace, monkeypatch):
     shutil.rmtree(cells.RUNS)  # results that came along with the code count as well
     sweep.work(OPTIONS)
     runs = curves.current_runs("point_maze")
-    assert {method: len(found) for method, found in runs.items()} == {"ours": 2, "sparse": 2}
-    episodes, means, _ = curves.over_seeds(runs["ours"], "max_reward")
-    expected = np.mean([run["curve"][0]["max_reward"] for run in runs["ours"]])
+    assert {line.name: len(found) for line, found in runs.items()} == {"sparse": 2, "ours": 2}
+    episodes, means, _ = curves.over_seeds(runs[Line("ours")], "max_reward")
+    expected = np.mean([run["curve"][0]["max_reward"] for run in runs[Line("ours")]])
     assert list(episodes) == [8, 12, 16] and means[0] == pytest.approx(expected)
     monkeypatch.setattr(sys, "argv", ["curves"])
     assert curves.main() == 0
@@ -106,16 +114,18 @@ def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize(("module", "file", "changes"), [
     (smoothing, "smoothing.csv",
-     ["config_hash", "training_hash", "training_seed", "threads", "episodes", "seed", "variant"]),
-    (policy_vs_mpc, "policy_vs_mpc.csv", ["planner_hash", "training_hash", "training_seed", "episodes", "seed"]),
+     ["planner_config", "training", "training_seed", "threads", "episodes", "seed", "variant"]),
+    (policy_vs_mpc, "policy_vs_mpc.csv", ["planner_config", "training", "training_seed", "episodes", "seed"]),
     (distance_as_cost, "distance_as_cost.csv",
-     ["planner_hash", "training_hash", "samples", "episodes", "seed", "variant"]),
+     ["planner_config", "training", "samples", "episodes", "seed", "variant"]),
 ])  # fmt: skip
 def test_tables_leave_out_rows_of_other_settings(module, file, changes):
     rows = cells.read_results(ROOT / "results" / file)
     rows = [row for row in rows if row["env"] == "fetch_wall" and row.get("budget") != "0"]
-    row = next(row for row in rows if module.comparable([row]))
-    assert not any(module.comparable([{**row, name: "7"}]) for name in changes)
+    row = next(row for row in rows if row["training"] and module.comparable([row]))
+    other = {"training": cells.as_text(preset("fetch_wall", changes={"batch_size": 7}).identity())}
+    assert not any(module.comparable([{**row, name: other.get(name, "7")}]) for name in changes)
+    assert not module.comparable([{**row, "training": '{"unknown":"f6c8ff2ca8"}'}])
 
 
 def test_first_episode_of_a_success_rate_is_a_median_in_which_never_counts():
@@ -163,9 +173,98 @@ def test_a_shipped_model_of_the_same_settings_is_not_trained_again(workplace, mo
         raise AssertionError("trained")
 
     monkeypatch.setattr(cells, "train", no_training)
+    for seed in (0, 1):  # the models that ship counted N(s, a, g) otherwise
+        with pytest.raises(AssertionError, match="trained"):
+            cells.checkpoint_of(preset("fetch_wall", seed=seed))
+    record = {"config": to_dict(preset("fetch_wall", seed=0)), "seed": 0}
+    cells.write_json(workplace / "shipped" / "fetch_wall" / "training.json", record)
+    monkeypatch.setattr(cells, "SHIPPED", workplace / "shipped")
     assert cells.checkpoint_of(preset("fetch_wall", seed=0)).name == "fetch_wall"
+    assert cells.shipped_training("fetch_wall") == (preset("fetch_wall").identity(), 0)
     with pytest.raises(AssertionError, match="trained"):
         cells.checkpoint_of(preset("fetch_wall", seed=1))
+
+
+def test_what_a_row_stores_is_what_its_configuration_asks():
+    changes = {"uncertainty.scale": 20, "hidden": (64, 64), "policy.entropy_weight": 0.1}  # 20 is 20.0
+    for env in CARDS:
+        config = preset(env, changes=changes, seed=3)
+        stored = json.loads(json.dumps(to_dict(config)))
+        assert identity_of(stored) == config.identity() == preset(env, changes=changes).identity()
+        assert cells.training_of({"training": cells.as_text(config.identity())}) == config.identity()
+    assert cells.as_text(config.identity()) == cells.as_text(
+        preset(env, changes={**changes, "uncertainty.scale": 20.0}).identity()
+    )
+    del stored["counts"], stored["policy"]["agent"]  # added later: they were as they are by default
+    assert identity_of(stored) == {k: v for k, v in config.identity().items() if k != "policy.agent"}
+    by_hand = changed(preset("fetch_pick_place"), flat(preset("fetch_pick_place", recipe="manipulation").identity()))
+    assert by_hand.identity() == preset("fetch_pick_place", recipe="manipulation").identity(), "a recipe is its values"
+
+
+def test_a_row_with_an_option_that_is_unknown_today_is_not_todays():
+    stored = to_dict(preset("fetch_wall"))
+    assert curves.line_of(identity_of(stored)) == Line("ours")
+    stored["counts"]["reached_bits"] = 16
+    assert identity_of(stored) == {**preset("fetch_wall").identity(), "counts.reached_bits": 16}
+    line = curves.line_of(identity_of(stored))
+    assert line.name == "ours, one key" and line != line.of_today() == Line("ours")
+    stored["counts"]["colour"] = "red"
+    assert curves.line_of(identity_of(stored)) is None, "an option without a name makes no line"
+
+
+def test_lines_are_called_by_recipe_and_by_what_they_have_otherwise():
+    changes = {"temporal.first_arrival": True, "episodes_per_iteration": 2, "n_episodes": 4000}
+    config = preset("fetch_pick_place", "ours", "manipulation", changes)
+    line = curves.line_of(config.identity())
+    assert line.name == "ours + manipulation, first arrival, 2 episodes per iteration" and not line.in_figures
+    assert curves.line_of(preset("fetch_pick_place", "ddl").identity()).name == "ddl"
+    assert curves.line_of(preset("fetch_wall", changes={"batch_size": 7}).identity()) is None
+    assert [line.name for line in curves.expected_lines("fetch_pick_place")][:2] == [
+        "sparse + manipulation", "ddl + manipulation",
+    ]  # fmt: skip
+    assert curves.expected_lines("fetch_wall")[-1] == Line("ours")
+
+
+def test_a_line_of_an_older_version_is_shown_until_todays_is_run(workplace):
+    older = to_dict(tiny())
+    older["counts"]["reached_bits"] = 16
+    row = {"episodes": 16.0, "success_rate": 0.5}
+    cells.write_json(cells.ROWS / "point_maze-ours-s0-a.json", {"seed": 0, "config": older, "curve": [row]})
+    assert [line.name for line in curves.current_runs("point_maze")] == ["ours, one key"]
+    table = [line for line in tables_training.learning_table() if line.startswith("| point_maze |")]
+    assert [line.split(" | ")[1:3] for line in table[-2:]] == [["ours", "not run"], ["ours, one key", "1"]]
+    cells.write_json(cells.ROWS / "point_maze-ours-s0-b.json", {"seed": 0, "config": to_dict(tiny()), "curve": [row]})
+    assert [line.name for line in curves.current_runs("point_maze")] == ["ours"]
+
+
+def test_rows_of_results_hold_configurations_and_no_hash():
+    paths = sorted((ROOT / "results" / "runs").glob("*.json"))
+    usual = flat(to_dict(preset("point_maze")))
+    for path in paths:
+        run = json.loads(path.read_text())
+        identity, known = identity_of(run["config"]), {k: v for k, v in flat(run["config"]).items() if k in usual}
+        assert path.stem.endswith(f"-s{run['seed']}-{digest(identity)}") and "config_hash" not in run
+        assert usual.keys() <= flat(run["config"]).keys(), "the whole configuration"
+        unknown = {name: value for name, value in flat(run["config"]).items() if name not in usual}
+        assert identity == {**from_dict(known).identity(), **unknown}
+    assert len({path.name for path in paths}) == len(paths) > 0
+    for path in (ROOT / "results").glob("*.csv"):
+        rows = cells.read_results(path)
+        assert not {name for name in rows[0] if name.endswith("hash")}, path
+        for row in rows:
+            if training := row.get("training"):
+                assert cells.as_text(json.loads(training)) == training
+
+
+def test_the_sweep_asks_for_recipe_labels_and_execution(monkeypatch):
+    options = sweep.SweepOptions(
+        envs=("fetch_pick_place",), methods=("ours", "ddl"), seeds=1, recipe="manipulation", first_arrival=True,
+        n_episodes=4000, compiled=True,
+    )  # fmt: skip
+    ours, ddl = sweep.cells(options)
+    assert ours == preset("fetch_pick_place", "ours", "manipulation", {"temporal.first_arrival": True}, n_episodes=4000)
+    assert ddl == preset("fetch_pick_place", "ddl", "manipulation", n_episodes=4000)
+    assert sweep.execution(options) == Execution(compiled=True)
 
 
 def append_rows(path, name):

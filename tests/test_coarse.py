@@ -21,8 +21,8 @@ from napsp.errors import UserError
 from napsp.policy.greedy import GreedyPolicy
 from napsp.storage.checkpoint import load_model, shipped_model
 from planners.app.cli import run
-from planners.app.search_options import MPPIOptions
-from planners.mppi import MPPI
+from planners.app.config import PlanConfig
+from planners.mppi import MPPI, MPPIConfig
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -116,7 +116,7 @@ def test_states_of_another_model_are_refused(worlds):
     observation, _ = world.reset(seed=0)
     cost = Cost(EuclideanSteps(0.1), world.reached)
     with RolloutEngine(other.dynamics, 1) as engine:
-        controller = Controller(engine, MPPI(3, 4, 8), cost, 3, np.random.default_rng(0))
+        controller = Controller(engine, MPPI(3, 4, MPPIConfig(samples=8)), cost, 3, np.random.default_rng(0))
         with pytest.raises(ValueError, match="does not fit the model that is planned in"):
             controller.plan(world, observation)
 
@@ -125,19 +125,19 @@ def test_states_of_another_model_are_refused(worlds):
 def test_planning_coarsely_says_so_and_runs_the_environment_exactly(name, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("napsp.envs.episode_length", lambda name: 3)
     arguments = ["--env", name, "--episodes", "1", "--samples", "8", "--no-video", "--threads", "1"]
-    assert run("mppi", [*arguments, "--planning-model", "coarse", "--out", str(tmp_path)]) == 0
+    assert run("mppi", [*arguments, "--model.kind", "coarse", "--out", str(tmp_path)]) == 0
     own = 20 if name == "fetch_wall" else 10
     assert f"coarse, 5 physics steps per control step; the environment runs {own}" in capsys.readouterr().out
     config = json.loads((tmp_path / "summary.json").read_text())["config"]
-    assert config["planning_model"] == "coarse" and config["planning_substeps"] == 5
+    assert config["model"] == {"kind": "coarse", "substeps": 5}
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--planning-substeps", "5"], "--planning-substeps needs --planning-model coarse"),
-        (["--planning-model", "coarse", "--planning-substeps", "11"], "exceeds the 10 of point_maze"),
-        (["--planning-model", "coarse", "--planning-substeps", "0"], "must lie between"),
+        (["--model.substeps", "5"], "--model.substeps needs --model.kind coarse"),
+        (["--model.kind", "coarse", "--model.substeps", "11"], "exceeds the 10 of point_maze"),
+        (["--model.kind", "coarse", "--model.substeps", "0"], "must lie between"),
     ],
 )
 def test_impossible_substeps_are_one_clear_line(arguments, words, tmp_path):
@@ -152,12 +152,11 @@ def test_fewer_substeps_than_one_and_more_than_the_tasks_are_refused(worlds):
             coarse(worlds["point_maze"].dynamics, n)
 
 
-def test_the_hash_tells_planning_models_apart():
-    plain = MPPIOptions()
-    chosen = [MPPIOptions(planning_model="coarse", planning_substeps=n) for n in (None, 5, 4)]
-    assert chosen[0].hash() == chosen[1].hash(), "the default said aloud"
-    assert len({options.hash() for options in (plain, *chosen)}) == 3
-    assert plain.hash() == "89443e8e05", "plans are made as before: results on disk stay valid"
+def test_the_identity_tells_planning_models_apart():
+    chosen = [PlanConfig.of("mppi", {"model.kind": "coarse", "model.substeps": n}).identity() for n in (None, 5, 4)]
+    assert chosen[0] == chosen[1] == {"horizon": 5, "model.kind": "coarse", "model.substeps": 5}, "a default said aloud"
+    assert chosen[2]["model.substeps"] == 4
+    assert PlanConfig.of("mppi").identity() == {"horizon": 5}, "plans are made as before: results on disk stay valid"
 
 
 def test_benchmark_writes_a_row_per_model_and_kind_of_actions(tmp_path, monkeypatch, capsys):

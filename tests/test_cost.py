@@ -12,7 +12,7 @@ from mpc.rollout import RolloutEngine, Trajectories
 from napsp.envs.dynamics import get_state
 from napsp.policy.actors import GaussianPolicy
 from napsp.policy.greedy import GreedyPolicy
-from planners.mppi import MPPI
+from planners.mppi import MPPI, MPPIConfig
 
 GOAL = np.array([0.0])
 
@@ -96,7 +96,7 @@ def test_euclidean_is_in_steps_and_sparse_is_zero():
 
 def controller(world, seed=0, n_threads=2, where="terminal", horizon=6, action_of="policy", n_samples=24):
     cost = Cost(EuclideanSteps(world.step_length), world.reached, where, action_of)
-    planner = MPPI(horizon, world.action_space.shape[0], n_samples)
+    planner = MPPI(horizon, world.action_space.shape[0], MPPIConfig(samples=n_samples))
     return Controller(RolloutEngine(world.dynamics, n_threads), planner, cost, horizon, np.random.default_rng(seed))
 
 

@@ -8,7 +8,8 @@ import torch
 from napsp.distance.network import DistanceNetwork
 from napsp.policy.greedy_distance import GreedyDistance
 from napsp.storage.checkpoint import load_model, shipped_model
-from planners.app.search_options import OPTIONS
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 
@@ -48,10 +49,9 @@ def test_on_a_trained_distance_it_equals_a_grid_of_actions_and_does_not_depend_o
 def test_greedy_proposals_join_the_samples_and_are_the_same_every_time():
     plans = []
     for _ in range(2):
-        options = OPTIONS["mppi"](
-            env="point_maze", samples=4, horizon=4, threads=1, proposals=False, greedy_proposals=True
-        )
-        session = Session.open("mppi", options)
+        changes = {"env": "point_maze", "search.samples": 4, "horizon": 4}
+        proposals = {"proposals": False, "distance.greedy_proposals": True}
+        session = Session.open(PlanConfig.of("mppi", changes | proposals), RunOptions(threads=1))
         seen = []
         sample = session.controller.planner.sample
         session.controller.planner.sample = lambda rng, proposals: seen.append(proposals) or sample(rng, proposals)  # noqa: B023
@@ -63,6 +63,6 @@ def test_greedy_proposals_join_the_samples_and_are_the_same_every_time():
     np.testing.assert_array_equal(*plans)
 
 
-def test_plans_of_before_keep_the_hash_that_stands_in_published_rows():
-    assert OPTIONS["mppi"](env="fetch_wall").hash() == "89443e8e05"
-    assert OPTIONS["mppi"](env="fetch_wall", greedy_proposals=True).hash() != "89443e8e05"
+def test_greedy_proposals_are_another_configuration():
+    usual, greedy = (PlanConfig.of("mppi", {"distance.greedy_proposals": on}).identity() for on in (False, True))
+    assert usual == {"horizon": 5} and greedy == {"horizon": 5, "distance.greedy_proposals": True}

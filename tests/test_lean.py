@@ -11,7 +11,8 @@ from mpc.rollout import RolloutEngine
 from napsp.envs.coarse import coarse
 from napsp.envs.fetch import FetchReachWallEnv
 from napsp.envs.lean import lean, refresh
-from planners.app.search_options import MPPIOptions
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 
@@ -52,7 +53,8 @@ def test_what_an_environment_changes_later_reaches_the_plans(change):
 
 
 def test_an_episode_begins_with_the_models_in_step():
-    session = Session.open("mppi", MPPIOptions(env="fetch_reach", cost="euclidean", threads=1, samples=3))
+    config = PlanConfig.of("mppi", {"env": "fetch_reach", "cost": "euclidean", "search.samples": 3})
+    session = Session.open(config, RunOptions(threads=1))
     world, planned = session.env.unwrapped, session.controller.engine.dynamics.model
     assert planned.ngeom < world.model.ngeom and world.dynamics.model is world.model
     world.model.dof_damping += 1.0

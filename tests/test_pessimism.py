@@ -15,7 +15,7 @@ from napsp.storage.files import read_tensors, write_tensors
 from napsp.storage.resume import STATE_FILE
 from napsp.train import train
 from planners.app.cli import run
-from planners.app.search_options import MPPIOptions
+from planners.app.config import PlanConfig
 
 GOAL = np.array([0.5, 0.5])
 
@@ -109,29 +109,41 @@ def test_damaged_counts_are_refused(trained, tmp_path):
 def test_both_plan_on_the_command_line(trained, tmp_path, monkeypatch):
     monkeypatch.setattr("napsp.envs.episode_length", lambda name: 3)
     arguments = ["--env", "point_maze", "--episodes", "1", "--samples", "8", "--no-video", "--threads", "1"]
-    arguments += ["--checkpoint", str(trained["a"]), "--pessimism", "0.5", "--ensemble", str(trained["b"])]
+    arguments += [
+        "--checkpoint",
+        str(trained["a"]),
+        "--distance.pessimism",
+        "0.5",
+        "--distance.ensemble",
+        str(trained["b"]),
+    ]
     assert run("mppi", [*arguments, "--out", str(tmp_path)]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["config"]["pessimism"] == 0.5 and summary["config"]["ensemble"] == [str(trained["b"])]
+    distance = summary["config"]["distance"]
+    assert distance["pessimism"] == 0.5 and distance["ensemble"] == [str(trained["b"])]
+    assert {"distance.pessimism": 0.5, "distance.ensemble": 1}.items() <= summary["differences"].items()
     assert [member["config"]["seed"] for member in summary["ensemble"]] == [1]
 
 
 def test_impossible_wishes_are_one_clear_line(trained, tmp_path):
     for arguments, words in (
-        (["--pessimism", "1"], "--pessimism needs visit counts.*train one with.*or use --ensemble"),
-        (["--ensemble", str(shipped_model("claw"))], "was trained on claw, not on point_maze"),
-        (["--ensemble", str(trained["sparse"])], "of --ensemble holds no distance"),
-        (["--ensemble", str(tmp_path / "nowhere")], "no checkpoint at"),
-        (["--cost", "euclidean", "--pessimism", "1"], "--pessimism needs --cost distance"),
-        (["--cost", "euclidean", "--ensemble", "x"], "--ensemble needs --cost distance"),
-        (["--pessimism", "-1"], "--pessimism is -1.0; it must lie between"),
+        (
+            ["--distance.pessimism", "1"],
+            "--distance.pessimism needs visit counts.*train one with.*or use --dist",
+        ),
+        (["--distance.ensemble", str(shipped_model("claw"))], "was trained on claw, not on point_maze"),
+        (["--distance.ensemble", str(trained["sparse"])], "of --distance.ensemble holds no distance"),
+        (["--distance.ensemble", str(tmp_path / "nowhere")], "no checkpoint at"),
+        (["--cost", "euclidean", "--distance.pessimism", "1"], "--distance.pessimism needs --cost distance"),
+        (["--cost", "euclidean", "--distance.ensemble", "x"], "--distance.ensemble needs --cost distance"),
+        (["--distance.pessimism", "-1"], "--distance.pessimism is -1.0; it must lie between"),
     ):
         with pytest.raises(UserError, match=words) as error:
             run("mppi", ["--env", "point_maze", "--no-video", "--out", str(tmp_path), *arguments])
         assert "\n" not in str(error.value)
 
 
-def test_the_hash_counts_members_but_not_their_paths(tmp_path):
-    plain = MPPIOptions()
-    first, second = (MPPIOptions(ensemble=(tmp_path / name,)) for name in "ab")
-    assert first.hash() == second.hash() != plain.hash() != MPPIOptions(pessimism=0.5).hash()
+def test_the_identity_counts_members_but_not_their_paths(tmp_path):
+    first, second = (PlanConfig.of("mppi", {"distance.ensemble": (tmp_path / name,)}).identity() for name in "ab")
+    assert first == second == {"horizon": 5, "distance.ensemble": 1}
+    assert PlanConfig.of("mppi", {"distance.pessimism": 0.5}).identity() == {"horizon": 5, "distance.pessimism": 0.5}

@@ -4,7 +4,6 @@ import copy
 import dataclasses
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -17,16 +16,23 @@ from mpc.knots import interpolation_matrix, shift_matrix
 from mpc.rollout import RolloutEngine
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError
-from planners.app.search_options import OPTIONS, MPPIOptions
-from planners.app.session import Session, make_planner
-from planners.cem import CEM
-from planners.icem import ICEM
-from planners.mppi import MPPI, softmin
-from planners.predictive_sampling import PredictiveSampling
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
+from planners.app.searches import SEARCHES
+from planners.app.session import Session
+from planners.cem import CEM, CEMConfig
+from planners.icem import ICEM, ICEMConfig
+from planners.mppi import MPPI, MPPIConfig, softmin
+from planners.predictive_sampling import PredictiveSampling, PredictiveSamplingConfig
 from planners.sampling import best_plans, coloured_noise, correlated_noise
 from planners.smooth import Held
 
-ALL = [MPPI, CEM, ICEM, PredictiveSampling]
+CONFIGS = {MPPI: MPPIConfig, CEM: CEMConfig, ICEM: ICEMConfig, PredictiveSampling: PredictiveSamplingConfig}
+ALL = list(CONFIGS)
+
+
+def make(kind, n_knots, n_controls, **options):
+    return kind(n_knots, n_controls, CONFIGS[kind](**options))
 
 
 def test_weights_sum_to_one_and_ignore_offset_and_scale():
@@ -52,7 +58,7 @@ def test_equal_costs_get_equal_weights():
 @pytest.mark.parametrize("bad", [np.inf, np.nan])
 @pytest.mark.parametrize("kind", ALL)
 def test_no_finite_cost_keeps_the_plan(kind, bad):
-    planner, rng = kind(3, 2, n_samples=8), np.random.default_rng(0)
+    planner, rng = make(kind, 3, 2, samples=8), np.random.default_rng(0)
     planner.update(planner.sample(rng), np.arange(8.0))
     plan = planner.plan.copy()
     planner.shift(np.eye(3))
@@ -63,19 +69,19 @@ def test_no_finite_cost_keeps_the_plan(kind, bad):
 
 @pytest.mark.parametrize("kind", ALL)
 def test_infinite_and_nan_costs_never_reach_the_plan(kind):
-    planner = kind(2, 1, n_samples=8, **({"n_elites": 3} if kind in (CEM, ICEM) else {}))
+    planner = make(kind, 2, 1, samples=8, **({"elites": 3} if kind in (CEM, ICEM) else {}))
     knots = planner.sample(np.random.default_rng(1))
     costs = np.full(len(knots), np.inf)
     knots[[0, 2, 4, 6]], costs[[0, 2, 4, 6]] = 0.25, 1.0
     knots[1], costs[1] = -1.0, np.nan
     knots[3] = np.nan  # its simulation diverged
     planner.update(knots, costs)
-    weight = 1.0 - getattr(planner, "momentum", 0.0) if kind is CEM else 1.0
+    weight = 1.0 - planner.config.momentum if kind is CEM else 1.0
     np.testing.assert_allclose(planner.plan, 0.25 * weight)
 
 
 def test_a_diverged_sample_can_not_win():
-    planner = MPPI(2, 1, n_samples=4, temperature=1e-3)
+    planner = make(MPPI, 2, 1, samples=4, temperature=1e-3)
     knots = np.arange(8.0).reshape(4, 2, 1) / 10
     planner.update(knots, np.array([np.inf, 5.0, 1.0, np.inf]))
     np.testing.assert_allclose(planner.mean, knots[2])
@@ -85,10 +91,10 @@ def test_a_diverged_sample_can_not_win():
 @pytest.mark.parametrize(
     "planner",
     [
-        MPPI(3, 2, n_samples=256, noise_scale=0.3, noise_correlation=0.0, temperature=0.1),
-        CEM(3, 2, n_samples=128, n_elites=12),
-        ICEM(3, 2, n_samples=128, n_elites=12, noise_exponent=0.0),
-        PredictiveSampling(3, 2, n_samples=256, noise_scale=0.2, noise_correlation=0.0),
+        make(MPPI, 3, 2, samples=256, noise_scale=0.3, noise_correlation=0.0, temperature=0.1),
+        make(CEM, 3, 2, samples=128, elites=12),
+        make(ICEM, 3, 2, samples=128, elites=12, noise_exponent=0.0),
+        make(PredictiveSampling, 3, 2, samples=256, noise_scale=0.2, noise_correlation=0.0),
     ],
     ids=lambda planner: type(planner).__name__,
 )
@@ -102,7 +108,7 @@ def test_converges_on_a_quadratic(planner):
 
 
 def test_samples_hold_the_mean_the_best_and_the_proposals():
-    planner, rng = MPPI(3, 2, n_samples=6), np.random.default_rng(0)
+    planner, rng = make(MPPI, 3, 2, samples=6), np.random.default_rng(0)
     planner.mean[:], planner.best = 0.1, np.full((3, 2), -0.2)
     knots = planner.sample(rng, np.full((1, 3, 2), 0.5))
     for row, value in enumerate((0.1, -0.2, 0.5)):
@@ -112,7 +118,7 @@ def test_samples_hold_the_mean_the_best_and_the_proposals():
 
 @pytest.mark.parametrize("kind", ALL)
 def test_proposals_are_tried_and_controls_stay_in_bounds(kind):
-    knots = kind(3, 2, n_samples=8).sample(np.random.default_rng(0), np.full((1, 3, 2), 0.5))
+    knots = make(kind, 3, 2, samples=8).sample(np.random.default_rng(0), np.full((1, 3, 2), 0.5))
     assert (knots == 0.5).all((1, 2)).sum() == 1
     assert knots.shape[1:] == (3, 2) and np.abs(knots).max() <= 1.0
 
@@ -121,7 +127,7 @@ def test_proposals_are_tried_and_controls_stay_in_bounds(kind):
 def test_same_seed_same_plans(kind):
     plans = []
     for _ in range(2):
-        planner, rng = kind(4, 2, n_samples=12), np.random.default_rng(3)
+        planner, rng = make(kind, 4, 2, samples=12), np.random.default_rng(3)
         for _ in range(4):
             knots = planner.sample(rng)
             planner.update(knots, np.abs(knots - 0.3).sum((1, 2)))
@@ -132,7 +138,7 @@ def test_same_seed_same_plans(kind):
 
 @pytest.mark.parametrize("kind", ALL)
 def test_reset_forgets_the_episode(kind):
-    used, fresh = kind(4, 2, n_samples=12), kind(4, 2, n_samples=12)
+    used, fresh = make(kind, 4, 2, samples=12), make(kind, 4, 2, samples=12)
     for _ in range(3):
         knots = used.sample(np.random.default_rng(0))
         used.update(knots, knots.sum((1, 2)))
@@ -144,7 +150,7 @@ def test_reset_forgets_the_episode(kind):
 
 @pytest.mark.parametrize("kind", [*ALL, Held])
 def test_an_adopted_plan_is_the_next_to_be_tried(kind):
-    planner, rng = kind(3, 2, **({} if kind is Held else {"n_samples": 12})), np.random.default_rng(0)
+    planner, rng = Held(3, 2) if kind is Held else make(kind, 3, 2, samples=12), np.random.default_rng(0)
     knots = planner.sample(rng)
     planner.update(knots, np.arange(float(len(knots))))
     found = np.full((3, 2), 0.25)
@@ -161,7 +167,7 @@ def test_an_adopted_plan_is_the_next_to_be_tried(kind):
 
 
 def test_adopting_a_plan_leaves_icem_its_other_elites():
-    planner = ICEM(2, 1, n_samples=20, n_elites=4)
+    planner = make(ICEM, 2, 1, samples=20, elites=4)
     knots = planner.sample(np.random.default_rng(0))
     planner.update(knots, np.arange(20.0))
     planner.adopt(np.zeros((2, 1)))
@@ -169,7 +175,7 @@ def test_adopting_a_plan_leaves_icem_its_other_elites():
 
 
 def test_icem_keeps_and_shifts_elites_shrinks_and_tries_its_mean_last():
-    planner, rng = ICEM(2, 1, n_samples=40, n_elites=10, kept=0.3, decay=1.25), np.random.default_rng(0)
+    planner, rng = make(ICEM, 2, 1, samples=40, elites=10, kept=0.3, decay=1.25), np.random.default_rng(0)
     sizes = []
     for _ in range(3):
         knots = planner.sample(rng)
@@ -265,7 +271,7 @@ def test_a_proposal_of_nan_is_left_out_with_one_warning(kind, open_loop):
     with RolloutEngine(dynamics, n_threads=1) as engine:
         cost = Cost(EuclideanSteps(1.0), lambda achieved, goal: np.zeros(achieved.shape[:-1], bool))
         controller = Controller(
-            engine, kind(3, 1, n_samples=8), cost, 3, np.random.default_rng(0),
+            engine, make(kind, 3, 1, samples=8), cost, 3, np.random.default_rng(0),
             proposals_from=[lambda observations, goals: np.full((1, 1), np.nan, np.float32)],
         )  # fmt: skip
         with pytest.warns(RuntimeWarning, match="not finite; left out") as caught:
@@ -287,7 +293,7 @@ def test_the_search_goes_on_from_a_smoothed_plan_that_was_rolled_out(worlds):
             return Smoothed(smooth, self.cost, True)
 
     with RolloutEngine(world.dynamics, n_threads=1) as engine:
-        planner, smoother = MPPI(4, 2, n_samples=8), Given()
+        planner, smoother = make(MPPI, 4, 2, samples=8), Given()
         cost = Cost(EuclideanSteps(1.0), world.reached)
         controller = Controller(engine, planner, cost, 4, np.random.default_rng(0), smoother=smoother)
         controller.plan(world, observation)
@@ -302,13 +308,13 @@ def test_the_search_goes_on_from_a_smoothed_plan_that_was_rolled_out(worlds):
 @pytest.mark.parametrize("refinements", [1, 2])
 def test_the_least_number_of_samples_is_the_one_that_leaves_room_for_noise(name, refinements):
     few = {"elites": 2} if name in ("cem", "icem") else {}
-    options = OPTIONS[name](env="point_maze", refinements=refinements, **few)
-    least = options.least_samples
+    search = SEARCHES[name].config(refinements=refinements, **few)
+    least = search.least_samples(1)  # the policy's rollout
     with pytest.raises(UserError, match=f"give at least {least}"):
-        dataclasses.replace(options, samples=least - 1)
+        PlanConfig("mppi", dataclasses.replace(search, samples=least - 1))
 
     def fewest_noisy(n_samples):
-        planner = make_planner(name, SimpleNamespace(**{**vars(options), "samples": n_samples}), 3, 2)
+        planner = SEARCHES[name].kind(3, 2, dataclasses.replace(search, samples=n_samples))
         rng, proposals, found = np.random.default_rng(0), np.full((1, 3, 2), 0.5), []
         for _ in range(3):
             for _ in range(refinements):
@@ -324,7 +330,8 @@ def test_the_least_number_of_samples_is_the_one_that_leaves_room_for_noise(name,
 
 def test_planning_and_environment_draw_from_different_streams(monkeypatch):
     drawn = []
-    session = Session.open("mppi", MPPIOptions(env="point_maze", cost="euclidean", threads=1, samples=4))
+    config = PlanConfig.of("mppi", {"env": "point_maze", "cost": "euclidean", "search.samples": 4})
+    session = Session.open(config, RunOptions(threads=1))
     monkeypatch.setattr("napsp.envs.episode_length", lambda name: 0)
     monkeypatch.setattr(session.controller, "reset", lambda rng: drawn.append(rng.random(4)))
     monkeypatch.setattr("planners.app.session.EpisodeResult", lambda *parts: None)

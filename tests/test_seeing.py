@@ -17,9 +17,9 @@ from mpc.rollout import Trajectories
 from napsp import envs
 from napsp.envs.open_loop import OpenLoopEnv
 from planners.app.cli import run
+from planners.app.config import PlanConfig
 from planners.app.maze_map import steps_field
-from planners.app.options import PlanOptions
-from planners.app.search_options import MPPIOptions, PredictiveSamplingOptions
+from planners.app.options import RunOptions, parse
 from planners.app.session import Session
 from planners.app.video import Video
 
@@ -60,8 +60,8 @@ def test_the_cost_of_the_executed_plan_is_its_own():
             self.costs.append(plan.costs.min())
 
     watcher = Cheapest()
-    options = PredictiveSamplingOptions(env="point_maze", samples=8, horizon=4, video=False, threads=1)
-    session = Session.open("predictive_sampling", options)
+    config = PlanConfig.of("predictive_sampling", {"env": "point_maze", "search.samples": 8, "horizon": 4})
+    session = Session.open(config, RunOptions(threads=1))
     result = session.run_episode(0, [watcher])
     session.close()
     np.testing.assert_allclose(result.column("cost"), watcher.costs, rtol=1e-4)
@@ -82,7 +82,7 @@ def test_planning_slower_than_control_is_said_once(period, keeps, tmp_path, monk
 
 @pytest.mark.parametrize(("env", "period"), [("point_maze", 0.1), ("fetch_wall", 0.04), ("claw", 0.1)])
 def test_control_periods(env, period):
-    session = Session.open("mppi", MPPIOptions(env=env, cost="euclidean", threads=1))
+    session = Session.open(PlanConfig.of("mppi", {"env": env, "cost": "euclidean"}), RunOptions(threads=1))
     assert session.control_period == pytest.approx(period)
     session.close()
 
@@ -141,7 +141,7 @@ def test_in_human_mode_reset_and_every_step_are_drawn(name, monkeypatch):
 
 
 def test_watching_does_not_change_how_plans_are_made():
-    assert PlanOptions(render="human").hash() == PlanOptions().hash()
+    assert parse("mppi", ["--render", "human", "--no-video"])[0] == parse("mppi", [])[0] == PlanConfig.of("mppi")
 
 
 def test_videos_of_stock_mazes_show_the_agent_and_hide_the_stock_goal(tmp_path):

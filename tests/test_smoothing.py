@@ -19,10 +19,12 @@ from mpc.smoothing.distance import SmoothDistance
 from mpc.smoothing.layer import Smoother, SmoothingConfig
 from mpc.smoothing.problem import SOLVERS, Problem, Roughness, SolverError
 from napsp.envs.dynamics import get_state
-from planners.app.search_options import ICEMOptions, MPPIOptions, SmoothOptions
+from napsp.errors import UserError
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 from planners.app.session import Session
-from planners.mppi import MPPI
-from planners.smooth import Held
+from planners.mppi import MPPI, MPPIConfig
+from planners.smooth import Held, HeldConfig
 
 
 def test_of_several_weights_the_smoothest_answer_that_costs_no_more_is_taken(worlds):
@@ -209,7 +211,7 @@ def test_numbers_that_are_not_finite_leave_the_plan_alone(worlds):
 
 
 def controller(world, observation, smoother, planner=None, rng=0):
-    planner = planner or MPPI(smoother.horizon, 2, 24)
+    planner = planner or MPPI(smoother.horizon, 2, MPPIConfig(samples=24))
     return Controller(
         smoother.engine, planner, smoother.cost, smoother.horizon, np.random.default_rng(rng), smoother=smoother
     )
@@ -235,7 +237,7 @@ def test_the_solver_is_built_once_and_the_world_is_left_alone(worlds, monkeypatc
 def test_the_layer_alone_finds_the_way_from_zero(worlds):
     config = SmoothingConfig(accept="better", rounds=2)
     world, observation, smoother = maze(worlds, seed=1, horizon=16, config=config)
-    control = controller(world, observation, smoother, Held(16, 2, "zero"))
+    control = controller(world, observation, smoother, Held(16, 2, HeldConfig("zero")))
     reached = False
     for _ in range(40):
         observation, _, _, _, info = world.step(control.plan(world, observation).action)
@@ -257,29 +259,18 @@ def test_figures_of_smoothness():
     assert jerk(np.stack([2.0 * times**3, 0.0 * times], axis=1), 0.1) == pytest.approx(12.0)
 
 
-def test_icem_is_compared_with_as_many_raw_plans_as_it_tries(monkeypatch):
-    session = Session.open("icem", ICEMOptions(env="point_maze", proposals=False))
-    counted = []
-    monkeypatch.setattr("planners.app.session.raw_speed_fraction", lambda *arguments: counted.append(arguments[3]))
-    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 1)
-    session.run_episode(seed=0)
-    session.raw_speed_fraction()
-    assert counted == [26 + 20 + 16]
-    session.close()
-
-
-@pytest.mark.parametrize("options", [
-    MPPIOptions(env="point_maze"), MPPIOptions(env="point_maze", smooth=True, smooth_solver="ipopt"),
-    ICEMOptions(env="point_maze", proposals=False),
-])  # fmt: skip
-def test_an_episode_is_the_same_alone_and_in_a_series(options, monkeypatch):
+@pytest.mark.parametrize("config", [
+    PlanConfig.of("mppi", {"env": "point_maze"}),
+    PlanConfig.of("mppi", {"env": "point_maze", "smooth": True, "smooth.solver": "ipopt"}),
+    PlanConfig.of("icem", {"env": "point_maze", "proposals": False}),
+], ids=lambda config: config.planner)  # fmt: skip
+def test_an_episode_is_the_same_alone_and_in_a_series(config, monkeypatch):
     monkeypatch.setattr("napsp.envs.episode_length", lambda name: 3)
-    planner, alone = "icem" if isinstance(options, ICEMOptions) else "mppi", []
-    series = Session.open(planner, dataclasses.replace(options, seed=4))
+    series, alone = Session.open(config, RunOptions(seed=4)), []
     episodes = [series.run_episode(seed) for seed in (4, 5, 6)]
     series.close()
     for seed in (6, 4):
-        session = Session.open(planner, dataclasses.replace(options, seed=seed))
+        session = Session.open(config, RunOptions(seed=seed))
         alone.append(session.run_episode(seed).actions)
         session.close()
     np.testing.assert_array_equal(alone, [episodes[2].actions, episodes[0].actions])
@@ -291,15 +282,23 @@ def test_planning_without_smoothing_imports_no_casadi():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-@pytest.mark.parametrize(("changes", "plans"), [
-    ({}, 2), ({"greedy_proposals": True}, 3), ({"proposals": False}, 1), ({"start": "zero"}, 1),
+@pytest.mark.parametrize(("planner", "changes", "plans"), [
+    ("smooth", {}, 2), ("smooth", {"distance.greedy_proposals": True}, 3), ("smooth", {"proposals": False}, 1),
+    ("smooth", {"search.start": "zero"}, 1), ("icem", {"proposals": False}, 26 + 20 + 16),
 ])  # fmt: skip
-def test_smoothing_alone_counts_the_plans_that_it_tries(changes, plans, monkeypatch):
-    session = Session.open("smooth", SmoothOptions(env="point_maze", **changes))
-    counted = []
-    monkeypatch.setattr("planners.app.session.raw_speed_fraction", lambda *arguments: counted.append(arguments[3]))
-    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 1)
-    session.run_episode(seed=0)
-    session.raw_speed_fraction()
-    assert counted == [plans]
+def test_plans_that_are_tried_are_counted(planner, changes, plans):
+    session = Session.open(PlanConfig.of(planner, {"env": "point_maze", **changes}))
+    observation, _ = session.env.reset(seed=0)
+    session.controller.plan(session.env.unwrapped, observation)
+    assert session.controller.n_tried == plans
     session.close()
+
+
+def test_unsaid_settings_of_the_layer_are_the_tasks():
+    usual = SmoothingConfig()
+    assert usual.resolved() == SmoothingConfig(multiples=(1.0,), choice=1.0)
+    assert usual.resolved((0.3, 3.0)) == SmoothingConfig(multiples=(0.3, 3.0), choice=10.0)
+    assert SmoothingConfig(choice=2.0, multiples=(5.0,)).resolved((0.3, 3.0)).choice == 2.0
+    for wrong in ((), (0.0,), (1.0, float("nan"))):
+        with pytest.raises(UserError, match="multiples is"):
+            SmoothingConfig(multiples=wrong)

@@ -9,9 +9,9 @@ import torch
 from torch.func import jacrev, vmap
 
 from mpc.smoothing.distance import SmoothDistance
-from napsp.distance.network import DistanceNetwork
+from napsp.config import preset
+from napsp.distance.network import DistanceConfig, DistanceNetwork
 from napsp.policy.actors import GaussianPolicy
-from napsp.presets import preset
 from napsp.storage.checkpoint import Model, load_model, shipped_model
 
 SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")
@@ -21,9 +21,10 @@ def shipped(env):
     return load_model(shipped_model(env), env)
 
 
-def random_model(output="softplus", sizes=(3, 2, 2)):
+def random_model(output="softplus", sizes=(3, 2, 2), **options):
     torch.manual_seed(1)
-    distance, policy = DistanceNetwork(sizes, (16, 16), 50, output), GaussianPolicy(sizes, (16, 16))
+    distance = DistanceNetwork(sizes, (16, 16), 50, DistanceConfig(output=output, **options))
+    policy = GaussianPolicy(sizes, (16, 16))
     for network in (distance, policy):
         network.scaling.observation_mean += 0.3
         network.scaling.goal_scale *= 2.0
@@ -82,7 +83,7 @@ def test_export_equals_torch_on_shipped_checkpoints(env, action_of):
     parts = [torch.from_numpy(part).float() for part in (rows[:, :n_s], rows[:, n_s:-n_g], rows[:, -n_g:])]
     action = parts[1] if action_of == "plan" else model.policy.mode(parts[0], parts[2])
     steps = model.distance.steps(parts[0], action, parts[2]).numpy()
-    np.testing.assert_allclose(np.clip(value, 0.0, smooth.horizon), steps, rtol=1e-3, atol=2e-3)
+    np.testing.assert_allclose(np.clip(value, 0.0, smooth.episode_length), steps, rtol=1e-3, atol=2e-3)
 
 
 @pytest.mark.parametrize("output", ["softplus", "linear"])
@@ -108,3 +109,9 @@ def test_beyond_the_networks_input_limit_d_is_flat():
     assert value == smooth.evaluate(rows + 1.0)[0]
     np.testing.assert_array_equal(gradient, 0.0)
     np.testing.assert_array_equal(hessian, 0.0)
+
+
+@pytest.mark.parametrize("options", [{"head": "quasimetric"}, {"layer_norm": True}, {"n_members": 2}])
+def test_a_distance_of_another_kind_is_refused_in_words(options):
+    with pytest.raises(ValueError, match="more than one plain network"):
+        SmoothDistance(random_model(**options), "policy")

@@ -25,11 +25,15 @@ class SmoothDistance:
     def __init__(self, model: Model, action_of: ActionOf) -> None:
         if model.distance is None:
             raise ValueError("the model holds no distance (it was trained with --method sparse)")
-        if model.distance.output not in {"linear", "softplus"}:
-            raise ValueError(f"unknown output {model.distance.output!r} of the distance; use linear or softplus")
-        self.action_of = action_of
-        self.horizon, self._softplus = float(model.distance.horizon), model.distance.output == "softplus"
-        self._distance, self._policy = Network(model.distance.net, 1), Network(model.policy.net, model.policy.n_actions)
+        head = model.distance.plain()
+        if head is None:
+            raise ValueError(
+                "the distance is more than one plain network (--distance.head mlp, no layer norm, one member), so the "
+                "smoothing layer cannot write out its derivatives"
+            )
+        self.action_of, self.episode_length = action_of, float(model.distance.episode_length)
+        self._softplus = head.output == "softplus"
+        self._distance, self._policy = Network(head.net, 1), Network(model.policy.net, model.policy.n_actions)
         self._scaling, self._policy_scaling = InputMap(model.distance.scaling), InputMap(model.policy.scaling)
         self.n_observation, self.n_goal = self._scaling.n_observation, self._scaling.n_goal
         self.n_action = model.policy.n_actions
@@ -83,11 +87,12 @@ class SmoothDistance:
 
     def _output(self, lib: Library, raw: Any) -> tuple[Any, Any, Any]:
         """Steps and their first two derivatives with respect to the network's last output."""
+        length = self.episode_length
         if not self._softplus:
-            return self.horizon * raw, self.horizon + 0.0 * raw, 0.0 * raw
+            return length * raw, length + 0.0 * raw, 0.0 * raw
         sigma = 0.5 * (1.0 + lib.tanh(0.5 * raw))
         softplus = lib.log1p_exp_minus(raw) + lib.positive(raw)
-        return self.horizon * softplus, self.horizon * sigma, self.horizon * sigma * (1.0 - sigma)
+        return length * softplus, length * sigma, length * sigma * (1.0 - sigma)
 
     def function(self) -> casadi.Function:
         """The CasADi function x ``(n,)`` -> y ``()``, with these derivatives in place of CasADi's own."""

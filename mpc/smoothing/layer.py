@@ -9,87 +9,19 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
 from mpc.controller import Smoothed
 from mpc.cost import Cost
 from mpc.rollout import RolloutEngine
+from mpc.smoothing.config import SmoothingConfig
 from mpc.smoothing.distance import SmoothDistance
 from mpc.smoothing.linearise import Linearisation, linearise
 from mpc.smoothing.problem import SOLVERS, Problem, Roughness, Solver, SolverError, action_rate
+from mpc.smoothing.statistics import SmoothingStatistics
 from napsp.storage.checkpoint import Model
-
-
-@dataclass(frozen=True)
-class SmoothingConfig:
-    """Settings of the layer; roughness is weighed in steps, the unit of d."""
-
-    rate: float = 1.0
-    """Weight of the mean squared change between neighbouring actions (times the horizon)."""
-    jerk: float = 0.3
-    """Weight of the squared change of that change."""
-    effort: float = 0.01
-    """Weight of the squared actions."""
-    distance: float = 1.0
-    """Weight of d."""
-    multiples: tuple[float, ...] = (1.0,)
-    """Solve with rate and jerk weighed so many times as heavily; all answers are verified together."""
-    choice: float = 1.0
-    """Weight of roughness against the true cost in choosing plans: among verified answers, and between the plan so
-    far and what may replace it."""
-    along: bool = True
-    """Read d where the planner's cost reads it; otherwise at the end of the plan only."""
-    trust: float = 0.3
-    """First bound on the change of an action; it then adapts between MIN_TRUST and MAX_TRUST."""
-    rounds: int = 1
-    """Linearise, solve, verify so many times per plan."""
-    tolerance: float = 0.0
-    """The true objective may rise by so many steps."""
-    accept: Literal["smoother", "better"] = "smoother"
-    """What a plan needs besides a cost that does not rise: a lower action rate, or a lower sum of cost and
-    roughness (for the layer alone, which has to find the way as well)."""
-    step: float = 0.1
-    """Change of an action for the finite differences."""
-    solver: Literal["qp", "ipopt"] = "qp"
-    """Quadratic programs, or IPOPT."""
-
-
-@dataclass
-class SmoothingStatistics:
-    """What happened so far; lists have one number per call, times are milliseconds."""
-
-    n_calls: int = 0
-    n_accepted: int = 0
-    n_kept: int = 0
-    """Sampled plans that were the layer's last plan, moved on in time, and that it left as they were."""
-    n_solver_failures: int = 0
-    n_risen: int = 0
-    """Accepted plans with a true objective above the one before: zero unless a tolerance is given."""
-    before: list[float] = field(default_factory=list)
-    after: list[float] = field(default_factory=list)
-    linearise_ms: list[float] = field(default_factory=list)
-    solve_ms: list[float] = field(default_factory=list)
-    verify_ms: list[float] = field(default_factory=list)
-    build_ms: float = 0.0
-
-    def summary(self) -> dict[str, float]:
-        """Shares and medians, for ``summary.json``."""
-        parts = {name: getattr(self, name) for name in ("linearise_ms", "solve_ms", "verify_ms")}
-        drop = np.subtract(self.before, self.after)
-        return {
-            "calls": self.n_calls,
-            "accepted": self.n_accepted,
-            "accepted_share": self.n_accepted / max(self.n_calls, 1),
-            "kept_share": self.n_kept / max(self.n_calls, 1),
-            "risen": self.n_risen,
-            "solver_failures": self.n_solver_failures,
-            "mean_cost_drop": float(drop[np.isfinite(drop)].mean()) if np.isfinite(drop).any() else 0.0,
-            "build_ms": self.build_ms,
-            **{name: float(np.median(values)) if values else 0.0 for name, values in parts.items()},
-        }
 
 
 class Smoother:
@@ -116,7 +48,7 @@ class Smoother:
         n_actions: int,
         config: SmoothingConfig | None = None,
     ) -> None:
-        self.config = config or SmoothingConfig()
+        self.config = (config or SmoothingConfig()).resolved()
         self.engine, self.cost, self.horizon = engine, cost, horizon
         self.statistics = SmoothingStatistics()
         self.distance = SmoothDistance(model, cost.action_of)
@@ -125,8 +57,8 @@ class Smoother:
         self._read = np.flatnonzero(weights)
         self._weights = self.config.distance * weights[self._read]
         rate, jerk, effort = self.config.rate, self.config.jerk, self.config.effort
-        self._roughness = Roughness(rate, jerk, effort)
-        self._solved = [Roughness(multiple * rate, multiple * jerk, effort) for multiple in self.config.multiples]
+        self._roughness, self._choice = Roughness(rate, jerk, effort), self.config.choice or 1.0
+        self._solved = [Roughness(multiple * rate, multiple * jerk, effort) for multiple in self.config.multiples or ()]
         self._solver: Solver = SOLVERS[self.config.solver](self.distance, horizon * n_actions, len(self._read))
         self.statistics.build_ms = 1e3 * (time.perf_counter() - started)
         self.reset()
@@ -157,7 +89,7 @@ class Smoother:
                 break
         accepted = task.plan is not task.sampled
         self._last, self._last_is_smooth = task.plan, accepted or task.kept
-        self._record(task, times)
+        self.statistics.record(task.before, task.cost, accepted, task.kept, times)
         return Smoothed(task.plan, task.cost, accepted)
 
     def _start(
@@ -237,7 +169,7 @@ class Smoother:
 
     def _merit(self, plans: np.ndarray, costs: np.ndarray, executed: np.ndarray) -> np.ndarray:
         """What the problem minimises, with the true objective in place of the model's, and the weight of choice."""
-        return self.config.distance * costs + self.config.choice * self._roughness(plans, executed)
+        return self.config.distance * costs + self._choice * self._roughness(plans, executed)
 
     def _problem(self, task: _Task, linear: Linearisation, roughness: Roughness) -> Problem:
         observations, sensitivities = linear.nominal.observations[0], linear.sensitivities
@@ -258,16 +190,6 @@ class Smoother:
             matrix, gradient, np.concatenate(points, 1).astype(float), np.concatenate(slopes, 1), self._weights,
             lower.ravel().astype(float), upper.ravel().astype(float),
         )  # fmt: skip
-
-    def _record(self, task: _Task, times: dict[str, float]) -> None:
-        s = self.statistics
-        s.n_accepted += task.plan is not task.sampled
-        s.n_kept += task.kept and task.plan is task.sampled
-        s.n_risen += bool(task.cost > task.before)
-        s.before.append(task.before)
-        s.after.append(task.cost)
-        for name, value in times.items():
-            getattr(s, f"{name}_ms").append(value)
 
 
 @dataclass

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import sys
 import warnings
-from pathlib import Path
-
-import tyro
 
 from napsp.errors import run_command
 from planners.app.gl import choose_gl, require_display
-from planners.app.search_options import OPTIONS
 
 
 def main(planner: str) -> None:
@@ -24,22 +20,23 @@ def run(planner: str, arguments: list[str]) -> int:
 
     Ctrl-C ends the episodes early; what was done is still reported.
     """
-    options = tyro.cli(OPTIONS[planner], args=arguments, prog=f"python -m planners.{planner}")
+    from planners.app.options import parse
+
+    config, options = parse(planner, arguments)
     if options.render == "human":
         require_display()
 
     import torch
 
-    from napsp.envs import file_name
     from planners.app.distance_field import DistanceField
+    from planners.app.record import default_folder
     from planners.app.report import Report
     from planners.app.session import Session
     from planners.app.video import Video
 
     torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
-    session = Session.open(planner, options)
-    default = f"{file_name(session.env_name)}-{planner}-{options.cost.replace(':', '-')}-s{options.seed}"
-    folder = options.out or Path("plans") / default
+    session = Session.open(config, options)
+    folder = options.out or default_folder(session.config, options)
     folder.mkdir(parents=True, exist_ok=True)
     report = Report(folder, session)
     report.announce()
@@ -67,6 +64,6 @@ def run(planner: str, arguments: list[str]) -> int:
         report.note(video.close())
     elif options.render == "human":
         report.note("no video: the episodes were shown in the viewer")
-    report.finish(session.raw_speed_fraction())
+    report.finish()
     session.close()
     return 0 if len(report.results) == options.episodes else 130

@@ -45,7 +45,7 @@ class DistanceField:
         matplotlib.use("Agg")
         from matplotlib import pyplot as plt
 
-        world, options = self._session.env.unwrapped, self._session.options
+        world, config = self._session.env.unwrapped, self._session.config
         figure, axis = plt.subplots(figsize=(6, 5.3), layout="constrained")
         field = steps_field(self._session.controller.cost.to_go, world.scale, result.desired_goal)
         figure.colorbar(draw_field(axis, field, world.scale), ax=axis, label="steps to go, at rest")
@@ -55,8 +55,8 @@ class DistanceField:
         axis.plot([], [], color="white", linewidth=0.7, label="sampled plans")
         _draw_way(axis, result, world.goal_radius)
         outcome = f"there after {result.first_hit} steps" if result.first_hit else "never there"
-        name = "the learned distance" if options.cost == "distance" else options.cost
-        axis.set_title(f"{self._session.planner}, {name}, seed {result.seed}: {outcome}", fontsize=10)
+        name = "the learned distance" if config.cost == "distance" else config.cost
+        axis.set_title(f"{config.planner}, {name}, seed {result.seed}: {outcome}", fontsize=10)
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4, fontsize=8, facecolor="lightgrey")
         save_figure(figure, path)
 

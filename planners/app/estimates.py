@@ -1,8 +1,9 @@
-"""What a plan is charged for its steps to go, built from the options: models and their estimate."""
+"""What a plan is charged for its steps to go, built from the configuration: models and their estimate."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,49 +11,58 @@ import numpy as np
 from mpc.cost import EuclideanSteps, GivenSteps, LearnedSteps, NoSteps, StepsToGo
 from napsp.errors import UserError, describe_failure, load_object
 from napsp.storage.checkpoint import Model, load_model, shipped_model
-from planners.app.options import PlanOptions
+from planners.app.config import PlanConfig
 
 
-def load_models(options: PlanOptions, env_name: str) -> list[Model]:
+def load_models(config: PlanConfig[Any], checkpoint: Path | None) -> list[Model]:
     """The checkpoint to plan with, then those of the ensemble; none for a cost that needs no distance.
+
+    Args:
+        config: how plans are made, with the task's one name.
+        checkpoint: None is the one that ships for the task.
 
     Raises:
         UserError: a checkpoint is unusable, of another task, or lacks what the options ask of it.
     """
-    if options.cost != "distance":
+    if config.cost != "distance":
         return []
-    model = load_model(options.checkpoint or shipped_model(env_name), env_name)
+    env_name = config.env
+    model = load_model(checkpoint or shipped_model(env_name), env_name)
     if model.distance is None:
         raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
-    if options.pessimism and model.visits is None:
+    if config.distance.pessimism and model.visits is None:
         raise UserError(
-            f"--pessimism needs visit counts and this checkpoint holds none; train one with: python -m napsp.train "
-            f"--env {env_name}, then pass it with --checkpoint, or use --ensemble"
+            f"--distance.pessimism needs visit counts and this checkpoint holds none; train one with: "
+            f"python -m napsp.train --env {env_name}, then pass it with --checkpoint, or use --distance.ensemble"
         )
-    ensemble = [load_model(path, env_name) for path in options.ensemble]
-    for path, member in zip(options.ensemble, ensemble, strict=True):
+    if config.smooth and model.distance.plain() is None:
+        raise UserError("--smooth needs a distance of one plain network (--distance.head mlp); plan without it")
+    ensemble = [load_model(path, env_name) for path in config.distance.ensemble]
+    for path, member in zip(config.distance.ensemble, ensemble, strict=True):
         if member.distance is None:
-            raise UserError(f"{path} of --ensemble holds no distance (method sparse); leave it out")
+            raise UserError(f"{path} of --distance.ensemble holds no distance (method sparse); leave it out")
         if member.header["sizes"] != model.header["sizes"]:
-            raise UserError(f"{path} of --ensemble was trained on another version of {env_name}; train it again")
+            raise UserError(
+                f"{path} of --distance.ensemble was trained on another version of {env_name}; train it again"
+            )
     return [model, *ensemble]
 
 
-def steps_to_go(options: PlanOptions, models: Sequence[Model], world: Any) -> StepsToGo:
+def steps_to_go(config: PlanConfig[Any], models: Sequence[Model], world: Any) -> StepsToGo:
     """The estimate that ``--cost`` names.
 
     Raises:
         UserError: it is not known for this task.
     """
     if models:
-        return LearnedSteps(models[0], options.pessimism, models[1:])
-    if options.cost == "shortest_path":
+        return LearnedSteps(models[0], config.distance.pessimism, models[1:])
+    if config.cost == "shortest_path":
         if not hasattr(world, "shortest_steps"):
-            raise UserError(f"the true shortest path of {options.env} is not known; use --cost euclidean or distance")
+            raise UserError(f"the true shortest path of {config.env} is not known; use --cost euclidean or distance")
         return GivenSteps(world.shortest_steps)
-    if ":" in options.cost:
-        return GivenSteps(own_cost(options.cost))
-    return EuclideanSteps(world.step_length) if options.cost == "euclidean" else NoSteps()
+    if ":" in config.cost:
+        return GivenSteps(own_cost(config.cost))
+    return EuclideanSteps(world.step_length) if config.cost == "euclidean" else NoSteps()
 
 
 def own_cost(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

@@ -23,12 +23,12 @@ def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResul
         steps = np.arange(1, len(result.steps) + 1)
         left.plot(steps, result.column("steps_to_go"), color=color, alpha=0.5, linewidth=1)
         right.plot(steps, result.column("gap"), color=color, alpha=0.5, linewidth=1)
-    left.set(xlabel="control step", ylabel="steps to go", title=f"cost: {session.options.cost}")
+    left.set(xlabel="control step", ylabel="steps to go", title=f"cost: {session.config.cost}")
     right.set(xlabel="control step", ylabel="gap to the goal [m]", title="blue: success, red: failure")
     right.axhline(session.env.unwrapped.goal_radius, color="black", linestyle=":", linewidth=1)
     for axis in (left, right):
         axis.set_ylim(bottom=0)
-    figure.suptitle(f"{session.env_name}, {session.planner}, {len(results)} episodes")
+    figure.suptitle(f"{session.env_name}, {session.config.planner}, {len(results)} episodes")
     save_figure(figure, path)
 
 
@@ -53,7 +53,7 @@ def plot_steps(path: Path, session: Session, results: list[EpisodeResult]) -> No
     times.legend(fontsize=8)
     for axis in (costs, shares, times):
         axis.set_ylim(bottom=0)
-    figure.suptitle(f"{session.env_name}, {session.planner}, cost {session.options.cost}")
+    figure.suptitle(f"{session.env_name}, {session.config.planner}, cost {session.config.cost}")
     save_figure(figure, path)
 
 

@@ -15,6 +15,7 @@ from napsp.statistics import describe, wilson_interval
 from napsp.storage.files import write_atomically, write_json
 from planners.app.episode import COLUMNS, EpisodeResult
 from planners.app.plots import plot_distance_to_go, plot_steps
+from planners.app.record import describe_session
 from planners.app.session import Session
 
 
@@ -31,14 +32,14 @@ class Report:
 
     def announce(self) -> None:
         """Say what is about to run."""
-        options, model = self._session.options, self._session.model
+        config, model = self._session.config, self._session.model
         source = f"d trained for {model.header['episodes']} episodes" if model else "no checkpoint"
         self._console.print(
-            f"{self._session.env_name}: {self._session.planner}, cost {options.cost} ({options.where}), "
-            f"{options.samples} samples x {self._session.horizon} steps, {source}",
+            f"{config.env}: {config.planner}, cost {config.cost} ({config.where}), "
+            f"{config.search.samples} samples x {self._session.horizon} steps, {source}",
             highlight=False,
         )
-        if options.planning_model == "coarse":
+        if config.model.kind == "coarse":
             own, planned = self._session.substeps
             self._console.print(
                 f"planning model: coarse, {planned} physics steps per control step; the environment runs {own}",
@@ -55,7 +56,7 @@ class Report:
         write_atomically(self._folder / "episodes.csv", self._csv().encode())
         self._steps += [",".join(row) for row in result.rows(len(self.results))]
         write_atomically(self._folder / "steps.csv", ("\n".join(self._steps) + "\n").encode())
-        n, total = len(self.results), self._session.options.episodes
+        n, total = len(self.results), self._session.run.episodes
         hit = f"first hit after {result.first_hit:3d} steps" if result.first_hit else "never at the goal      "
         left = np.mean([r.seconds for r in self.results]) * (total - n)
         self._console.print(
@@ -64,15 +65,15 @@ class Report:
             highlight=False,
         )
 
-    def finish(self, raw_speed_fraction: float) -> None:
+    def finish(self) -> None:
         """Write summary.json and the plots; print the table."""
-        summary = self.summary(raw_speed_fraction)
+        summary = self.summary()
         write_json(self._folder / "summary.json", summary)
         plot_distance_to_go(self._folder / "distance_to_go.png", self._session, self.results)
         plot_steps(self._folder / "steps.png", self._session, self.results)
         self._print(summary)
 
-    def summary(self, raw_speed_fraction: float) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """The content of summary.json."""
         results, n = self.results, len(self.results)
         hits = [r.first_hit for r in results if r.first_hit is not None]
@@ -80,7 +81,7 @@ class Report:
         plan_ms = np.concatenate([r.plan_ms for r in results])
         period_ms = 1e3 * self._session.control_period
         return {
-            **self._session.summary(),
+            **describe_session(self._session),
             "episodes": n,
             "success_rate": successes / n,
             "success_interval_95": wilson_interval(successes, n),
@@ -92,7 +93,6 @@ class Report:
             "plan_ms_p95": float(np.percentile(plan_ms, 95)),
             "control_period_ms": period_ms,
             "keeps_control_rate": bool(np.median(plan_ms) <= period_ms),
-            "raw_speed_fraction": raw_speed_fraction,
             "mean_action_rate": float(np.mean([r.action_rate for r in results])),
             "mean_jerk": float(np.mean([r.jerk for r in results])),
             "smoothing": self._session.smoothing_summary(),
@@ -122,7 +122,6 @@ class Report:
             "steps to goal",
             "action rate",
             "ms per plan",
-            "of raw simulator speed",
         ):
             table.add_column(column, justify="right")
         steps = summary["mean_steps_to_goal"]
@@ -132,7 +131,6 @@ class Report:
             "-" if steps is None else f"{steps:.1f}",
             f"{summary['mean_action_rate']:.4f}",
             f"{summary['plan_ms_median']:.1f}",
-            f"{summary['raw_speed_fraction']:.2f}",
         )
         self._console.print(table)
         smoothing = summary["smoothing"]

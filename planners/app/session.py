@@ -2,47 +2,27 @@
 
 from __future__ import annotations
 
-import inspect
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, fields
 from typing import Any, Protocol
 
 import numpy as np
 
-from mpc.controller import Controller, Plan, Planner, Smoother
+from mpc.controller import Controller, Plan
 from mpc.cost import Cost
-from mpc.filters import LowPass
 from mpc.motion import action_rate, jerk
-from mpc.rollout import Actor, RolloutEngine
-from mpc.speed import raw_speed_fraction
+from mpc.rollout import RolloutEngine
 from napsp import envs as tasks
 from napsp.envs.cards import CARDS
 from napsp.envs.check import check_finite
-from napsp.envs.coarse import coarse
-from napsp.envs.dynamics import Dynamics, get_state
-from napsp.envs.lean import lean, refresh
-from napsp.errors import UserError
-from napsp.policy.greedy import GreedyPolicy
-from napsp.policy.greedy_distance import GreedyDistance
+from napsp.envs.lean import refresh
 from napsp.storage.checkpoint import Model
-from napsp.storage.revision import git_revision
+from planners.app.config import PlanConfig
 from planners.app.episode import EpisodeResult, Step
 from planners.app.estimates import load_models, steps_to_go
-from planners.app.options import PlanOptions
-from planners.cem import CEM
-from planners.icem import ICEM
-from planners.mppi import MPPI
-from planners.predictive_sampling import PredictiveSampling
-from planners.smooth import Held
-
-PLANNERS: dict[str, Any] = {
-    "mppi": MPPI,
-    "cem": CEM,
-    "icem": ICEM,
-    "predictive_sampling": PredictiveSampling,
-    "smooth": Held,
-}
+from planners.app.options import RunOptions
+from planners.app.searches import SEARCHES
+from planners.app.world import check_goal, planned_dynamics, proposers, smoother
 
 
 class Watcher(Protocol):
@@ -54,61 +34,59 @@ class Watcher(Protocol):
 
 
 class Session:
-    """Everything a planning command needs, built from its options."""
+    """Everything a planning command needs, built from its configuration.
+
+    Attributes:
+        config: how plans are made, with the task's values.
+        run: the circumstances.
+        models: the checkpoint's, then those of the ensemble; none for a cost that needs no distance.
+    """
 
     def __init__(
-        self,
-        planner: str,
-        options: PlanOptions,
-        env: Any,
-        env_name: str,
-        controller: Controller,
-        models: Sequence[Model] = (),
+        self, config: PlanConfig[Any], run: RunOptions, env: Any, controller: Controller, models: Sequence[Model] = ()
     ) -> None:
-        self.planner, self.options = planner, options
-        self.env, self.env_name = env, env_name
+        self.config, self.run, self.models = config, run, models
+        self.env, self.env_name = env, config.env
         self.controller = controller
-        self.model = models[0] if models else None
-        self._ensemble = models[1:]
         self.horizon = controller.horizon
-        self._statistics = getattr(controller.smoother, "statistics", None)
-        self._last_observation: dict[str, np.ndarray] = {}
 
     @classmethod
-    def open(cls, planner: str, options: PlanOptions) -> Session:
+    def open(cls, config: PlanConfig[Any], run: RunOptions | None = None) -> Session:
         """Build the session.
 
         Raises:
             UserError: unknown environment, unusable checkpoint, impossible sizes.
         """
-        env_name = tasks.canonical_name(options.env)
-        models = load_models(options, env_name)
+        config, run = config.resolved(), run or RunOptions()
+        models = load_models(config, run.checkpoint)
         model = models[0] if models else None
         # Classes of the user's own need not know render modes, so none is named unless one is asked for.
-        env = tasks.make(env_name, **({"render_mode": "human"} if options.render == "human" else {}))
+        env = tasks.make(config.env, **({"render_mode": "human"} if run.render == "human" else {}))
         world: Any = env.unwrapped
         if model is not None:
             model.check_sizes(world)
-        horizon = options.steps_ahead
-        if options.knots is not None and options.knots > horizon:
-            raise UserError(f"--knots {options.knots} exceeds the horizon of {horizon} steps; use at most {horizon}")
-        _check_goal(options.goal, world)
-        cost = Cost(steps_to_go(options, models, world), world.reached, options.where, _action_of(options))
-        engine = RolloutEngine(_planned_dynamics(options, world), options.threads)
-        n_actions = world.action_space.shape[0]
+        check_goal(config.goal, world)
+        horizon, n_actions = config.horizon or config.usual.horizon, world.action_space.shape[0]
+        cost = Cost(steps_to_go(config, models, world), world.reached, config.where, config.action_of)
+        engine = RolloutEngine(planned_dynamics(config, world), run.threads)
+        search: Any = config.search
         controller = Controller(
             engine,
-            make_planner(planner, options, options.knots or horizon, n_actions),
+            SEARCHES[config.planner].kind(config.spline.knots or horizon, n_actions, search),
             cost,
             horizon,
-            np.random.default_rng(options.seed),
-            options.knots,
-            options.interpolation,
-            options.refinements,
-            _proposers(options, model, n_actions),
-            _smoother(options, engine, cost, model, horizon, n_actions),
+            np.random.default_rng(run.seed),
+            config.spline,
+            search.refinements,
+            proposers(config, model, n_actions),
+            smoother(config, engine, cost, model, horizon, n_actions),
         )
-        return cls(planner, options, env, env_name, controller, models)
+        return cls(config, run, env, controller, models)
+
+    @property
+    def model(self) -> Model | None:
+        """The checkpoint's; None for a cost that needs no distance."""
+        return self.models[0] if self.models else None
 
     @property
     def control_period(self) -> float:
@@ -135,8 +113,8 @@ class Session:
         refresh(self.controller.engine.dynamics)
         self.controller.reset(np.random.default_rng([seed, 1]))  # not the stream that the environment draws from
         world = self.env.unwrapped
-        if self.options.goal is not None:
-            world.goal = np.array(self.options.goal)
+        if self.config.goal is not None:
+            world.goal = np.array(self.config.goal)
             observation["desired_goal"] = world.goal.copy()
         goal = observation["desired_goal"]
         first_hit, success = None, False
@@ -157,7 +135,6 @@ class Session:
             steps.append(self._step(observation, plan, cost))
             achieved_goals.append(observation["achieved_goal"])
             positions.append(self._effector(observation))
-        self._last_observation = observation
         seconds = time.monotonic() - started
         return EpisodeResult(
             seed, success, first_hit, steps, np.array(actions), np.array(achieved_goals), goal,
@@ -192,106 +169,12 @@ class Session:
         rows = observation["observation"][None], observation["achieved_goal"][None]
         return float(cost.to_go(*rows, following, observation["desired_goal"])[0])
 
-    def raw_speed_fraction(self) -> float:
-        """Simulated steps per second of a plan call, smoothing left out, over those of a bare ``mujoco.rollout``."""
-        world = self.env.unwrapped
-        self.controller.smoother = None
-        state = get_state(world.model, world.data)
-        return raw_speed_fraction(
-            self.controller.engine,
-            lambda: self.controller.plan_from(state, self._last_observation),
-            state,
-            self.controller.n_tried,
-            max(1, self.controller.cost.simulated_steps(self.horizon)),
-        )
-
-    def summary(self) -> dict[str, Any]:
-        """What identifies the session, for ``summary.json``."""
-        config = {k: str(v) if hasattr(v, "__fspath__") else v for k, v in asdict(self.options).items()}
-        config |= {"env": self.env_name, "horizon": self.horizon, "ensemble": [str(p) for p in self.options.ensemble]}
-        config["planning_substeps"] = self.substeps[1]
-        config["smooth_multiples"] = self.options.roughness_multiples
-        config["smooth_choice"] = self.options.roughness_choice
-        return {
-            "env": self.env_name,
-            "planner": self.planner,
-            "cost": self.options.cost,
-            "seed": self.options.seed,
-            "config": config,
-            "config_hash": self.options.hash(),
-            "revision": git_revision(),
-            "checkpoint": self.model.header if self.model else None,
-            "ensemble": [member.header for member in self._ensemble],
-        }
-
     def smoothing_summary(self) -> dict[str, Any] | None:
         """Figures of the smoothing layer so far; None without it."""
-        return None if self._statistics is None else self._statistics.summary()
+        statistics = getattr(self.controller.smoother, "statistics", None)
+        return None if statistics is None else statistics.summary()
 
     def close(self) -> None:
         """Stop threads and release the environment."""
         self.controller.engine.close()
         self.env.close()
-
-
-def _proposers(options: PlanOptions, model: Model | None, n_actions: int) -> list[Actor]:
-    """Whose own rollouts join the samples."""
-    actors: list[Actor] = []
-    if model is not None and options.proposals:
-        actors.append(GreedyPolicy(model.policy))
-    if options.greedy_proposals and model is not None and model.distance is not None:
-        actors.append(GreedyDistance(model.distance, n_actions))
-    return actors
-
-
-def make_planner(name: str, options: Any, n_knots: int, n_controls: int) -> Planner:
-    """The search algorithm of a command, with the options of the same names."""
-    names = {"n_samples": "samples", "n_elites": "elites", "n_refinements": "refinements"}
-    planner = PLANNERS[name]
-    settings = [p for p in inspect.signature(planner).parameters if p not in ("n_knots", "n_controls")]
-    return planner(n_knots, n_controls, **{p: getattr(options, names.get(p, p)) for p in settings})
-
-
-def _check_goal(goal: tuple[float, ...] | None, env: Any) -> None:
-    size = env.observation_space["desired_goal"].shape[0]
-    if goal is not None and (len(goal) != size or not np.isfinite(goal).all()):
-        raise UserError(f"--goal {' '.join(map(str, goal))} does not fit; give {size} finite numbers")
-
-
-def _planned_dynamics(options: PlanOptions, world: Any) -> Dynamics:
-    """The physics to plan in: the environment's own, less decoration, unless coarse ones are asked for."""
-    own, spec = world.dynamics.substeps, getattr(world, "model_spec", None)
-    dynamics = lean(world.dynamics, spec, world.action_space.shape[0])
-    if options.planning_model == "exact":
-        return dynamics
-    if own == 1:
-        raise UserError(
-            f"{options.env} has one physics step per control step, none to leave out; plan in the exact model"
-        )
-    if (options.planning_substeps or 1) > own:
-        raise UserError(
-            f"--planning-substeps {options.planning_substeps} exceeds the {own} of {options.env}; use fewer"
-        )
-    return coarse(dynamics, options.coarse_substeps(own))
-
-
-def _smoother(
-    options: PlanOptions, engine: RolloutEngine, cost: Cost, model: Model | None, horizon: int, n_actions: int
-) -> Smoother | None:
-    if options.low_pass:
-        return LowPass(options.low_pass)
-    if not options.smooth or model is None:
-        return None
-    from mpc.smoothing import layer as smoothing  # imports casadi, which nobody else needs
-
-    names = [field.name for field in fields(smoothing.SmoothingConfig)]
-    values: dict[str, Any] = {name: getattr(options, f"smooth_{name}") for name in names}
-    values |= {"multiples": options.roughness_multiples, "choice": options.roughness_choice}
-    config = smoothing.SmoothingConfig(**values)
-    return smoothing.Smoother(engine, cost, model, horizon, n_actions, config)
-
-
-def _action_of(options: PlanOptions) -> Any:
-    if options.action_of == "plan" and options.cost != "distance":
-        raise UserError(f"--action-of plan needs --cost distance: {options.cost} does not read actions")
-    return options.action_of
