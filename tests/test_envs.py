@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import warnings
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -11,6 +12,7 @@ from conftest import TASKS
 from gymnasium.utils.env_checker import check_env
 
 from napsp import envs
+from napsp.envs.actions import used_actions
 from napsp.envs.fetch import FetchReachEnv, FetchReachWallEnv
 from napsp.errors import UserError
 
@@ -175,3 +177,18 @@ def test_stable_baselines3_trains_with_her(name):
 def test_a_wall_needs_the_filtered_robot():
     with pytest.raises(ValueError, match="does not go with a wall"):
         FetchReachWallEnv(arm_self_collision=True)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_numbers_of_an_action_that_change_nothing_are_known(name, worlds):
+    world = worlds[name]
+    world.reset(seed=0)
+    before = world.data.qpos.copy()
+    used = used_actions(world)
+    blocked = name.startswith(("fetch_reach", "fetch_wall"))  # the gripper's fingers, the last of four numbers
+    np.testing.assert_array_equal(used, [True] * (len(used) - blocked) + [False] * blocked)
+    np.testing.assert_array_equal(world.data.qpos, before)
+
+
+def test_a_task_without_dynamics_is_said_to_use_all_numbers():
+    assert used_actions(SimpleNamespace(action_space=SimpleNamespace(shape=(3,)))).tolist() == [True] * 3

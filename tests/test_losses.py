@@ -154,7 +154,7 @@ def test_goals_are_told_apart_at_their_own_resolution_and_borders_do_not_hide_th
     """Cells of edge e: two edges away is never the same goal; a tenth of an edge away nearly always is."""
     rng, n = np.random.default_rng(0), 2000
     counts = CountModel((1, 1, 2), CountConfig(goal_cell=0.5, n_lattices=2), unscaled(2), rng)
-    edge = 0.5 * 2**0.5
+    edge = 0.5 * 2
     goals, aside = rng.uniform(-3, 3, (n, 2)), rng.standard_normal((n, 2))
     aside *= edge / np.linalg.norm(aside, axis=1, keepdims=True)
 

@@ -128,7 +128,7 @@ def test_rescaling_counts_everything_again(tmp_path):
     train(tiny(), tmp_path / "once")
     (often, header), (once, _) = (read_tensors(tmp_path / n / STATE_FILE, "training state") for n in ("often", "once"))
     assert header["scaled_at"] == 16
-    for table in ("visits", "reached.0.table", "reached.1.table"):
+    for table in ("visits", "reached.0.table", "reached.2.table"):
         assert often[f"{table}.counts"].sum() == once[f"{table}.counts"].sum()
     assert not torch.equal(often["policy.scaling.goal_scale"], once["policy.scaling.goal_scale"])
 

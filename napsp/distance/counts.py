@@ -30,12 +30,12 @@ class CountConfig:
 
     visit_bits: int = 16
     """SimHash bits of N(s, a)."""
-    pair_bits: int = 12
+    pair_bits: int = 8
     """SimHash bits of (s, a) in the key of N(s, a, g)."""
-    goal_cell: float = 0.3
-    """Edge of the goal's cells in N(s, a, g), in standard deviations, times the root of the goal's size: in more
-    dimensions the same distance is a smaller step along each."""
-    n_lattices: int = 2
+    goal_cell: float = 0.14
+    """Edge of the goal's cells in N(s, a, g), in standard deviations, per number of a goal: the more there are, the
+    farther apart the same amount of data lies."""
+    n_lattices: int = 3
     """Shifted lattices of goals; N(s, a, g) is the largest of their counts."""
 
     def __post_init__(self) -> None:
@@ -144,11 +144,11 @@ class ReachedTable:
         self.table = KeyCounts()
 
     @classmethod
-    def drawn(cls, used: np.ndarray, n_goal: int, config: CountConfig, rng: np.random.Generator) -> ReachedTable:
-        """A random one; ``used`` as in :meth:`SimHash.drawn`."""
-        multipliers = rng.integers(-(2**62), 2**62, n_goal + 1) * 2 + 1
+    def drawn(cls, used: np.ndarray, shift: np.ndarray, config: CountConfig, rng: np.random.Generator) -> ReachedTable:
+        """A random one with this shift of its lattice; ``used`` as in :meth:`SimHash.drawn`."""
+        multipliers = rng.integers(-(2**62), 2**62, len(shift) + 1) * 2 + 1
         pair = SimHash.drawn(used, config.pair_bits, rng)
-        return cls(pair, rng.uniform(size=n_goal), multipliers, config.goal_cell * n_goal**0.5)
+        return cls(pair, shift, multipliers, config.goal_cell * len(shift))
 
     def pair_part(self, pairs: np.ndarray) -> np.ndarray:
         """What (s, a) adds to a key, ``(...)`` for scaled inputs ``(..., O + A)``."""
@@ -188,7 +188,9 @@ class CountModel:
         used = np.concatenate([np.ones(n_observation, bool), acting])
         self.scaling = scaling
         self.visit_hash, self.visit_table = SimHash.drawn(used, config.visit_bits, rng), KeyCounts()
-        self.reached_tables = [ReachedTable.drawn(used, n_goal, config, rng) for _ in range(config.n_lattices)]
+        # Evenly spread, so that what lies at a border of one lattice lies inside a cell of another.
+        shift, n = rng.uniform(size=n_goal), config.n_lattices
+        self.reached_tables = [ReachedTable.drawn(used, (shift + k / n) % 1.0, config, rng) for k in range(n)]
 
     def update(self, episodes: Episodes) -> None:
         """Count every visited (s_i, a_i) and every (s_i, a_i, phi(s_j)) with j > i.
