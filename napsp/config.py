@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import tyro
 
 from napsp.data.collect import ExplorationConfig
 from napsp.data.outcomes import EvaluationConfig
@@ -47,7 +49,7 @@ class TrainConfig:
     seed: int = 0
     """Seed of everything random in the run."""
 
-    n_episodes: int = 500
+    n_episodes: Annotated[int, tyro.conf.arg(aliases=("--episodes",))] = 500
     """Training episodes in total, warm-up included; rounded up to whole iterations."""
     n_warmup_episodes: int = 20
     """Episodes of random actions that seed the buffer D and set the input scaling."""

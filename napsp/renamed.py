@@ -35,3 +35,6 @@ TRAINING: dict[str, str] = {
     "n_evaluation_episodes": "evaluate.n_episodes",
 }
 """Old name, in files of format napsp-1, to dotted name."""
+
+FLAGS = {**TRAINING, "reached_bits": "counts.pair_bits"}
+"""The same for command lines; the one key of N(s, a, g) has become one of two parts."""

@@ -11,10 +11,10 @@ import torch
 import tyro
 
 from napsp import envs as tasks
-from napsp.config import PAPER, TrainConfig, preset
+from napsp.config import PAPER, TrainConfig, preset, recipes
 from napsp.errors import run_command
 from napsp.execution import Execution
-from napsp.renamed import TRAINING
+from napsp.renamed import FLAGS
 from napsp.run import Run
 from napsp.settings import refuse_old_flags
 from napsp.storage.progress import Row
@@ -76,7 +76,7 @@ def parse(arguments: list[str]) -> tuple[TrainConfig, Options, Execution]:
     Raises:
         UserError: an option has another name now, or a value is out of its range.
     """
-    refuse_old_flags(arguments, {old.replace("_", "-"): new.replace("_", "-") for old, new in TRAINING.items()})
+    refuse_old_flags(arguments, {old.replace("_", "-"): new.replace("_", "-") for old, new in FLAGS.items()})
     chosen = {"env": "fetch_wall", "method": "ours", "recipe": PAPER}
     for flag, following in zip(arguments, [*arguments[1:], ""], strict=True):
         name, joined, value = flag.removeprefix("--").partition("=")
@@ -100,6 +100,9 @@ def main() -> int:
     config, options, execution = parse(sys.argv[1:])
     folder = options.out or Path("runs") / f"{tasks.file_name(config.env)}-{config.method}-s{config.seed}"
     print(f"{config.env}: {config.method}, seed {config.seed}, {config.n_episodes} episodes -> {folder}")
+    others = [name for name in recipes(config.env) if name != PAPER]
+    if config.recipe == PAPER and others:
+        print(f"the paper's method alone; what ships for this task was trained with --recipe {' or '.join(others)}")
     torch.set_num_threads(execution.threads)
     train(config, folder, options.restart, options.tensorboard, execution)
     return 0 if (folder / RECORD_FILE).is_file() else 130

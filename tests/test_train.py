@@ -197,6 +197,7 @@ def test_command_line_defaults_follow_the_task():
     config, options, execution = parse(["--env", "point_maze_long", "--seed", "7", "--method", "ddl"])
     assert config == preset("point_maze_long", "ddl", seed=7) and options.out is None and execution == Execution()
     assert parse(["--env=fetch_reach_wall"])[0].env == "fetch_wall"
+    assert parse(["--episodes", "77"])[0].n_episodes == parse(["--n-episodes", "77"])[0].n_episodes == 77
     config = parse(["--env", "fetch_wall", "--counts.goal-cell", "0.5", "--distance.slow", "--hidden", "8", "9"])[0]
     assert config == preset("fetch_wall", changes={"counts.goal_cell": 0.5, "distance.slow": True}, hidden=(8, 9))
 
@@ -216,7 +217,11 @@ def test_ours_is_the_paper_on_every_task_and_a_recipe_is_named():
 
 
 def test_old_flags_get_a_sentence_with_the_new_name(capsys):
-    for old, new in (("visit-bits", "counts.visit-bits"), ("first-arrival", "temporal.first-arrival")):
+    for old, new in (
+        ("visit-bits", "counts.visit-bits"),
+        ("first-arrival", "temporal.first-arrival"),
+        ("reached-bits", "counts.pair-bits"),
+    ):
         with pytest.raises(UserError, match=f"--{old} is now called --{new}"):
             parse(["--env", "point_maze", f"--{old}"])
     with pytest.raises(UserError, match=r"--evaluate-every is now called --evaluate\.every"):
