@@ -21,20 +21,19 @@ from benchmarks.cells import (
     RESULTS,
     append_result,
     as_text,
-    checkpoint_of,
     find,
     read_results,
-    training_beside,
     training_of,
     usual_recipe,
 )
 from benchmarks.command import read_options
 from benchmarks.curves import Line, is_current, line_of
 from benchmarks.planned import COLUMN, column
+from benchmarks.subjects import Subject
 from mpc.motion import action_rate
 from mpc.rollout import available_cores
 from napsp import envs as tasks
-from napsp.config import DEFAULT, TrainConfig, preset
+from napsp.config import preset
 from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
@@ -133,38 +132,11 @@ def _figures(
     }
 
 
-@dataclass(frozen=True)
-class Subject:
-    """Whose policy and distance are compared.
-
-    Attributes:
-        env: the task.
-        training: what it was, or is to be, trained with.
-        seed: training seed.
-        source: a model there is, or the configuration to train.
-    """
-
-    env: str
-    training: dict[str, Any]
-    seed: int
-    source: Path | TrainConfig
-
-    @property
-    def n_episodes(self) -> int:
-        """Training episodes."""
-        return self.training.get("n_episodes", DEFAULT.n_episodes)
-
-    def checkpoint(self) -> Path:
-        """The model; trained when needed."""
-        return self.source if isinstance(self.source, Path) else checkpoint_of(self.source)
-
-
 def subjects(options: VersusOptions) -> list[Subject]:
     """Models to compare with."""
     env = tasks.canonical_name(options.env)
     if options.checkpoint is not None:
-        load_model(options.checkpoint, env)  # a wrong one fails in one sentence
-        return [Subject(env, *training_beside(options.checkpoint, env), options.checkpoint)]
+        return [Subject.existing(env, options.checkpoint)]
     changes: dict[str, Any] = {"temporal.first_arrival": True} if options.first_arrival else {}
     if options.episodes_per_iteration is not None:
         changes["episodes_per_iteration"] = options.episodes_per_iteration
@@ -172,7 +144,7 @@ def subjects(options: VersusOptions) -> list[Subject]:
     for n_episodes in (options.training_episodes, *options.progress):
         length = {} if n_episodes is None else {"n_episodes": n_episodes}
         config = preset(env, "ours", recipe, {**changes, **length}, seed=options.training_seed)
-        found.append(Subject(env, config.identity(), config.seed, config))
+        found.append(Subject.of(config))
     return found
 
 

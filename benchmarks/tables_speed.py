@@ -59,17 +59,22 @@ def learner_table() -> list[str]:
     lines = [
         "### Learning speed (`python -m benchmarks.learner_speed`)",
         "",
-        "HER + SAC updates per second, relabelling included: same networks, batch, task and threads, in turn.",
+        "HER + SAC updates per second, relabelling included: same networks, batch, task, device and threads, in turn. *CPU* is how many CPU",
+        "seconds ours got per second: below the number of threads the machine was shared. Rows without it are of the learner before, whose",
+        "gradients were written out by hand.",
         "",
-        "| networks | batch | threads | matrix products | our updates | ours | Stable-Baselines3 | ratio | share of the matrix-product speed |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| networks | batch | device | threads | matrix products | our losses | ours | Stable-Baselines3 | ratio | share of the matrix-product speed | CPU | revision |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
+    cpu = "ours_cpu_seconds_per_second"
     for path in sorted(RESULTS.glob("learner_speed_*.json")):
         row = json.loads(path.read_text())
         lines.append(
-            f"| {row['hidden']} | {row['batch_size']} | {row['threads']} | {row.get('matmul_precision', 'highest')} "
+            f"| {row['hidden']} | {row['batch_size']} | {row.get('device', 'cpu')} | {row['threads']} "
+            f"| {row.get('matmul_precision', 'highest')} "
             f"| {'compiled' if row.get('compiled') else 'not compiled'} | {row['ours_updates_per_second']:.0f} "
             f"| {row['stable_baselines3_updates_per_second']:.0f} | {row['ours_over_stable_baselines3']:.2f} "
-            f"| {row['share_of_matrix_product_speed']:.2f} |"
+            f"| {row['share_of_matrix_product_speed']:.2f} "
+            f"| {f'{row[cpu]:.2f}' if cpu in row else '-'} | {row['revision']} |"
         )
     return lines
