@@ -38,7 +38,7 @@ SUPERSEDED = ("counts.reached_bits", "policy.min_entropy_weight")
 """Of these, ways of older versions: such a line is shown until the same one without them is run."""
 TABLES_ONLY = ("episodes_per_iteration",)
 """Lines that figures leave out."""
-COLORS = dict(zip(METHODS, ("tab:gray", "tab:orange", "tab:blue", "tab:red"), strict=True))
+COLORS: dict[str, str] = dict(zip(METHODS, ("tab:gray", "tab:orange", "tab:blue", "tab:red"), strict=True))
 STYLES = ("-", "--", ":", "-.")
 TITLES = {
     "success_rate": "success (last step)",
