@@ -363,7 +363,9 @@ def test_icem_forgets_everything():
     planner.update(plans(0.1, 0.2), np.array([np.nan, -5.0]))
     planner.reset()
     assert planner.plan == planner.mean == 0.0 and planner.deviation == 0.5 and planner.effective_samples == 2.0
-    np.testing.assert_array_equal(planner.sample(rng()), search(ICEM, 1, 1, samples=8, elites=2, noise_scale=0.5).sample(rng()))
+    np.testing.assert_array_equal(
+        planner.sample(rng()), search(ICEM, 1, 1, samples=8, elites=2, noise_scale=0.5).sample(rng())
+    )
     planner.update(plans(0.3), np.array([7.0]))
     assert planner.plan == 0.3, "no cost of the last episode is remembered"
 
