@@ -158,6 +158,29 @@ def test_d_is_asked_about_rows_of_one_state_each():
     np.testing.assert_array_equal(achieved.reshape(2, 3, 2)[:, 0], [[8.0, 9.0], [8.0, 9.0]])
     np.testing.assert_array_equal(achieved.reshape(2, 3, 2)[:, 1:], observations[:, :2, :2])
     np.testing.assert_array_equal(chosen, actions.reshape(6, 3))
+    Cost(to_go, reached, "terminal", "plan")(start, paths, actions, goal)
+    rows, achieved, chosen, _ = asked.pop()
+    np.testing.assert_array_equal(rows, observations[:, 1])
+    np.testing.assert_array_equal(achieved, observations[:, 1, :2])
+    np.testing.assert_array_equal(chosen, actions[:, 2])
+
+
+def test_the_success_test_is_asked_whether_achieved_goals_are_at_the_desired_one():
+    def at_least(achieved, desired):
+        assert achieved.shape == desired.shape
+        return achieved[..., 0] >= desired[..., 0]
+
+    goal = np.array([2.0])
+    costs = Cost(steps_to_go, at_least, "terminal")(START, PATHS, ACTIONS, goal)
+    np.testing.assert_allclose(costs, [0, 2, 2])
+    costs = Cost(steps_to_go, at_least, "terminal", "plan")(
+        {**START, "achieved_goal": np.array([1.0])}, SHORT, OWN, goal
+    )
+    np.testing.assert_allclose(costs, [0, 1, 2 + 2 + 2])
+
+
+def test_unless_told_otherwise_d_is_averaged_over_eight_states_at_the_policys_action():
+    assert Cost(steps_to_go, reached) == Cost(steps_to_go, reached, "mean", "policy", 8)
 
 
 def test_numbers_of_steps_that_are_simulated():
@@ -205,12 +228,13 @@ def test_outside_the_goal_the_cost_is_steps_plus_weighted_d(where, action_of, n_
 
 def test_only_a_number_is_a_cost():
     cost = Cost(lambda observations, *rest: observations[:, 0], reached, "mean")
-    achieved = np.full((5, 2, 1), 3.0)
-    achieved[4, 1] = 0.0  # there, where d does not count
-    rows = np.array([[1, np.inf], [1, -np.inf], [np.nan, 1], [1e308, 1e308], [1, np.nan]], float)[..., None]
-    costs = cost(START, Trajectories(rows, achieved, np.zeros(5, bool)), np.zeros((5, 2, 1)), GOAL)
-    np.testing.assert_array_equal(costs, [np.inf, np.inf, np.inf, np.inf, 1 + 1 / 2])
-    costs = cost(START, Trajectories(rows, achieved, np.ones(5, bool)), np.zeros((5, 2, 1)), GOAL)
+    achieved = np.full((6, 2, 1), 3.0)
+    achieved[5, 1] = 0.0  # there, where d does not count
+    rows = [[1, np.inf], [1, -np.inf], [-np.inf, np.inf], [np.nan, 1], [1e308, 1e308], [1, np.nan]]
+    rows = np.array(rows, float)[..., None]
+    costs = cost(START, Trajectories(rows, achieved, np.zeros(6, bool)), np.zeros((6, 2, 1)), GOAL)
+    np.testing.assert_array_equal(costs, [np.inf, np.inf, np.inf, np.inf, np.inf, 1 + 1 / 2])
+    costs = cost(START, Trajectories(rows, achieved, np.ones(6, bool)), np.zeros((6, 2, 1)), GOAL)
     np.testing.assert_array_equal(costs, np.inf)
 
 
@@ -237,6 +261,8 @@ def test_the_learned_distance_is_asked_at_the_plans_action_or_at_the_policys():
     assert found.dtype == np.float64
     np.testing.assert_allclose(LearnedSteps(model())(rows, rows, None, goal), [18.0, 9.0])  # nine times the way
     np.testing.assert_allclose(LearnedSteps(model())(rows[::-1], rows, None, goal), [9.0, 18.0])
+    wide, target = np.array([[1.0, 0.0], [4.0, 0.0], [3.0, 0.0]]), np.array([3.0, 7.0])
+    np.testing.assert_allclose(LearnedSteps(model())(wide, wide, None, target), [18.0, 9.0, 0.0])
 
 
 def test_of_several_distances_the_largest_counts_at_the_first_models_action():
@@ -283,6 +309,9 @@ def test_given_steps_are_asked_about_achieved_goals_and_answer_in_any_number_typ
     np.testing.assert_array_equal(found, [2.0, 1.0])
     assert found.dtype == np.float64
     np.testing.assert_array_equal(GivenSteps(lambda achieved, target: [1, 2])(rows, rows, None, goal), [1.0, 2.0])
+    np.testing.assert_array_equal(
+        GivenSteps(lambda achieved, target: achieved[:, 0])(rows, rows, None, goal), rows[:, 0]
+    )
     np.testing.assert_allclose(EuclideanSteps(0.5)(-rows, rows, None, goal), [4.0, 2.0])
 
 

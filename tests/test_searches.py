@@ -51,8 +51,9 @@ def test_correlated_noise_has_unit_variance_and_its_correlation_falls_as_a_power
     np.testing.assert_allclose(noise.mean(0), 0.0, atol=0.03)
 
 
-# Covariances at lags 0 .. K - 1, from powers 1 / f^beta with the mean at f = 1 / K. K = 4, beta = 2 has powers 16, 16, 4:
-# one share of the mean, two of f = 1/4, which turns by a quarter per knot, one of f = 1/2: (16, +-32, +-4) of 52.
+# Covariances at lags 0 .. K - 1, from powers 1 / f^beta with the mean at f = 1 / K. K = 4, beta = 2 has powers
+# 16, 16, 4: one share of the mean, two of f = 1/4, which turns by a quarter per knot, and one of f = 1/2, which
+# turns by half: (16, 32 cos 90, 4 cos 180) of 52.
 SPECTRA = {
     (1, 2.0): [1.0],
     (2, 2.0): [1.0, 0.0],
@@ -80,6 +81,7 @@ def test_best_plans_are_in_order_and_the_first_of_equals_comes_first():
     np.testing.assert_array_equal(best_plans(np.array([2.0, 1.0, 2.0, 1.0, 0.5]), 4), [4, 1, 3, 0])
     many = np.r_[np.zeros(100), -1.0]
     np.testing.assert_array_equal(best_plans(many, 50), [100, *range(49)])
+    np.testing.assert_array_equal(best_plans(np.array([-np.inf, 2.0, np.nan, 1.0]), 3), [3, 1])
     assert len(best_plans(np.array([np.nan, np.inf, -np.inf]), 2)) == 0
 
 
@@ -174,7 +176,7 @@ def test_weights_are_exponential_in_costs_over_temperature_times_their_spread():
 def test_costs_equal_but_for_rounding_count_the_same_and_small_spreads_do_not_vanish():
     np.testing.assert_array_equal(softmin(np.array([0.3, 0.1 + 0.2, 0.3, np.inf]), 0.2), [1 / 3, 1 / 3, 1 / 3, 0])
     np.testing.assert_allclose(softmin(np.array([1.0, 3.0]) * 1e-9, 0.5), softmin(np.array([1.0, 3.0]), 0.5))
-    np.testing.assert_array_equal(softmin(np.array([3.0, 1.0, 1.0]), 1e-13), [0.0, 0.5, 0.5])
+    np.testing.assert_array_equal(softmin(np.array([1.5, 1.0, 1.0]), 1e-13), [0.0, 0.5, 0.5])
 
 
 def test_mppi_moves_to_the_weighted_mean_and_counts_the_samples_that_matter():
@@ -186,7 +188,7 @@ def test_mppi_moves_to_the_weighted_mean_and_counts_the_samples_that_matter():
     assert planner.plan[0, 0] == pytest.approx((-0.4 + 0.2 + low * (0.8 + 0.6)) / total)
     assert planner.effective_samples == pytest.approx(total**2 / (2 + 2 * low**2))
     np.testing.assert_array_equal(planner.best, [[-0.4]])  # the first of the cheapest
-    planner.update(plans(0.7, 0.1), np.array([np.nan, 5.0]))  # the old mean has no weight, the best is this round's
+    planner.update(plans(np.nan, 0.1), np.array([np.nan, 5.0]))  # the old mean has no weight, the best is this round's
     assert planner.plan == planner.best == 0.1 and planner.effective_samples == 1.0
     knots = plans(0.3, 0.9)
     planner.update(knots, np.array([2.0, 2.0]))
@@ -355,7 +357,9 @@ def test_icem_goes_on_from_an_adopted_plan_with_its_other_elites():
     deviation = planner.deviation.copy()
     planner.adopt(np.array([[0.9]]))
     assert planner.plan == planner.mean == 0.9 and planner.deviation == deviation
-    np.testing.assert_array_equal(planner.sample(rng())[:3], plans(0.9, 0.1, 0.2))
+    knots = planner.sample(rng())
+    np.testing.assert_array_equal(knots[:3], plans(0.9, 0.1, 0.2))
+    assert (knots[3:] != 0.3).all(), "three elites as before"
 
 
 def test_icem_forgets_everything():
@@ -391,6 +395,14 @@ def test_predictive_sampling_takes_the_cheapest_plan_shifts_it_and_forgets_it():
 
 
 # -- all --
+
+
+@pytest.mark.parametrize("kind", [*SAMPLING, Held])
+def test_effective_samples_are_a_plain_number(kind):
+    planner = search(kind, 1, 1)
+    assert type(planner.effective_samples) is float
+    planner.update(plans(0.1, 0.2), np.array([1.0, 2.0]))
+    assert type(planner.effective_samples) is float
 
 
 @pytest.mark.parametrize("kind", SAMPLING)
