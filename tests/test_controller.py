@@ -24,6 +24,11 @@ def search(kind, n_knots, n_controls, **settings):
     return kind(n_knots, n_controls, **settings)
 
 
+def controller_of(engine, planner, cost, horizon, n_knots=None, interpolation="linear", **settings):
+    """The one place that knows how a controller is built."""
+    return Controller(engine, planner, cost, horizon, RNG, n_knots, interpolation, **settings)
+
+
 class Line:
     """An engine whose world is a line: an action is added to the position. State: the clock and the position."""
 
@@ -110,7 +115,7 @@ def recorded(tried=TRIED, plan=PLAN, horizon=3, action_of="policy", answers=None
     if answers is not None:
         settings["smoother"] = Smoother(log, *answers)
     cost = Cost(far, reached, "terminal", action_of)
-    return Controller(Line(log), Recorder(log, tried, plan), cost, horizon, RNG, **settings), log
+    return controller_of(Line(log), Recorder(log, tried, plan), cost, horizon, **settings), log
 
 
 def names(log):
@@ -295,7 +300,7 @@ def test_a_plan_is_what_the_search_executes_after_its_last_round():
 def test_a_held_plan_is_executed_action_by_action():
     planner = search(Held, 4, 1)
     planner.adopt(np.array([[0.1], [0.2], [0.3], [0.4]]))
-    controller = Controller(Line([]), planner, Cost(far, reached, "terminal"), 4, RNG)
+    controller = controller_of(Line([]), planner, Cost(far, reached, "terminal"), 4)
     executed = [float(plan(controller).action[0]) for _ in range(6)]
     np.testing.assert_allclose(executed, [0.1, 0.2, 0.3, 0.4, 0.4, 0.4], rtol=1e-6)
 
@@ -437,7 +442,7 @@ def test_the_cost_of_a_plan_is_that_of_stepping_the_environment(action_of, simul
     observation = {**OBSERVATION, "observation": np.array([0.3, -0.2]), "achieved_goal": np.array([0.3, -0.2])}
     observation["desired_goal"] = np.array([50.0, 0.0])
     with RolloutEngine(dynamics, n_threads=1) as engine:
-        controller = Controller(engine, search(Held, 4, 1), Cost(far, reached, "terminal", action_of), 4, RNG)
+        controller = controller_of(engine, search(Held, 4, 1), Cost(far, reached, "terminal", action_of), 4)
         found = controller.cost_of(env, observation, actions)
     end = states_of(dynamics, env, actions[:simulated])[-1]
     to_go = 50.0 - end + (100.0 * float(actions[-1, 0]) if action_of == "plan" else 0.0)
