@@ -11,6 +11,7 @@ from mpc.controller import Controller, Plan, Smoothed
 from mpc.cost import Cost
 from mpc.rollout import Followed, RolloutEngine, Trajectories
 from napsp.envs.dynamics import get_state
+from napsp.errors import UserError
 from planners.smooth import Held
 
 STATE = np.array([0.0, 5.0])
@@ -240,6 +241,27 @@ def test_knots_become_actions_within_the_bounds():
     controller, log = recorded([[[[-1.0], [1.0]]]], [[0.5], [-0.5]], n_knots=2, interpolation="zero")
     np.testing.assert_array_equal(plan(controller).actions[:, 0], [0.5, 0.5, -0.5])
     np.testing.assert_array_equal(calls(log, "rollout")[0][1][0, :, 0], [-1, -1, 1])
+
+
+def test_three_cubic_knots_are_a_parabola_and_one_knot_is_held():
+    parabola = np.array([[[0.0], [0.25], [1.0]]])  # (t / 4)^2 at t = 0, 2, 4
+    controller, log = recorded([parabola], parabola[0], horizon=5, n_knots=3, interpolation="cubic")
+    np.testing.assert_allclose(plan(controller).actions[:, 0], (np.arange(5) / 4) ** 2, atol=1e-7)
+    plan(controller)
+    # One step later: the curve at t = 1 and 3, and its end, which is held.
+    np.testing.assert_allclose(calls(log, "shift")[0][0] @ parabola[0, :, 0], [1 / 16, 9 / 16, 1.0], atol=1e-12)
+    for interpolation in ("zero", "linear", "cubic"):
+        controller, log = recorded([[[[0.5]]]], [[-0.5]], n_knots=1, interpolation=interpolation)
+        for _ in range(2):
+            np.testing.assert_allclose(plan(controller).actions[:, 0], [-0.5, -0.5, -0.5])
+        np.testing.assert_allclose(calls(log, "rollout")[0][1][0, :, 0], [0.5, 0.5, 0.5])
+        np.testing.assert_allclose(calls(log, "shift")[0][0], [[1.0]])
+
+
+@pytest.mark.parametrize("n_knots", [-1, 4])
+def test_as_many_knots_as_steps_at_most(n_knots):
+    with pytest.raises((ValueError, UserError), match="knots is"):
+        recorded(n_knots=n_knots)
 
 
 # -- proposals --

@@ -157,6 +157,14 @@ def test_the_held_plan_adds_no_noise_and_from_zero_takes_no_proposals():
     np.testing.assert_array_equal(held.plan, 0.5)
     held.update(tried, np.array([1.0, 1.0]))  # no cheaper plan: the plan itself, which comes first
     np.testing.assert_array_equal(held.plan, 0.0)
+    held.update(plans(0.1, 0.2, 0.3, shape=(2, 1)), np.array([3.0, 1.0, 2.0]))
+    np.testing.assert_array_equal(held.plan, 0.2)
+    held.shift(np.array([[0.0, 2.0], [1.0, 1.0]]))
+    np.testing.assert_array_equal(held.plan, 0.4)
+    assert held.effective_samples == 1.0
+    held.reset()
+    np.testing.assert_array_equal(held.plan, np.zeros((2, 1)))
+    assert held.effective_samples == 1.0
 
 
 # -- MPPI --
@@ -391,6 +399,11 @@ def test_predictive_sampling_takes_the_cheapest_plan_shifts_it_and_forgets_it():
 
 
 # -- all --
+
+
+@pytest.mark.parametrize("kind", [*SAMPLING, Held])
+def test_a_search_can_be_had_without_settings(kind):
+    np.testing.assert_array_equal(kind(3, 2).sample(rng()), search(kind, 3, 2).sample(rng()))
 
 
 @pytest.mark.parametrize("kind", [*SAMPLING, Held])
