@@ -141,7 +141,7 @@ class Controller:
         self._proposals_from = proposals_from
         self.smoother = smoother
         self._executed: list[np.ndarray] = []
-        self._fresh = True
+        self._shift_due = False
         self._warned = self._warned_of_proposals = False
         self.n_tried = 0  # plans simulated by the last plan call, smoothing left out
 
@@ -153,7 +153,7 @@ class Controller:
         if self.smoother is not None:
             self.smoother.reset()
         self._executed = []
-        self._fresh = True
+        self._shift_due = False
 
     def plan(self, env: Any, observation: dict[str, np.ndarray]) -> Plan:
         """Plan from the current state of ``env`` (unwrapped); its data is only read.
@@ -174,9 +174,9 @@ class Controller:
         goal = observation["desired_goal"]
         if not np.isfinite(goal).all():
             raise ValueError(f"the desired goal {goal} is not finite; give a finite goal")
-        if not self._fresh:
+        if self._shift_due:
             self.planner.shift(self._shift)
-        self._fresh = False
+        self._shift_due = False  # until this plan is made: a call that fails is no step
         followed = [self.engine.follow(state, observation, actor, self.horizon) for actor in self._proposals_from]
         proposals = self._proposals(followed)
         n_simulated = self.cost.simulated_steps(self.horizon)
@@ -193,6 +193,7 @@ class Controller:
         sampled = time.perf_counter()
         if self.smoother is not None:
             plan = self._smooth(self.smoother, state, observation, plan)
+        self._shift_due = True
         ended = time.perf_counter()
         return Plan(
             plan[0], plan, trajectories, costs, effective_samples, 1e3 * (ended - started), 1e3 * (ended - sampled)
@@ -236,4 +237,4 @@ class Controller:
             self._warned = True
             diverged = trajectories.diverged.all()
             reason = "every sampled plan diverged" if diverged else "the cost of every sampled plan is not finite"
-            warnings.warn(f"{reason}; keeping the previous plan", RuntimeWarning, stacklevel=3)
+            warnings.warn(f"{reason}; keeping the previous plan", RuntimeWarning, stacklevel=4)

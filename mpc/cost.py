@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 import torch
@@ -147,6 +147,11 @@ class Cost:
     where: Where = "mean"
     action_of: ActionOf = "policy"
     n_averaged: int = 8
+
+    def __post_init__(self) -> None:
+        for name, words in (("where", get_args(Where)), ("action_of", get_args(ActionOf))):
+            if getattr(self, name) not in words:
+                raise ValueError(f"unknown {name} {getattr(self, name)!r}; choose one of: {', '.join(words)}")
 
     def simulated_steps(self, horizon: int) -> int:
         """How many actions of a plan have to be simulated."""

@@ -9,10 +9,11 @@ from explosive import Explosive
 
 from mpc.controller import Controller, Plan, Smoothed
 from mpc.cost import Cost
+from mpc.knots import SplineConfig
 from mpc.rollout import Followed, RolloutEngine, Trajectories
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError
-from planners.smooth import Held
+from planners.smooth import Held, HeldConfig
 
 STATE = np.array([0.0, 5.0])
 GOAL = np.array([0.0])
@@ -22,12 +23,12 @@ RNG = np.random.default_rng(0)
 
 def search(kind, n_knots, n_controls, **settings):
     """The one place that knows how a search is built."""
-    return kind(n_knots, n_controls, **settings)
+    return kind(n_knots, n_controls, HeldConfig(**settings))
 
 
 def controller_of(engine, planner, cost, horizon, n_knots=None, interpolation="linear", **settings):
     """The one place that knows how a controller is built."""
-    return Controller(engine, planner, cost, horizon, RNG, n_knots, interpolation, **settings)
+    return Controller(engine, planner, cost, horizon, RNG, SplineConfig(n_knots, interpolation), **settings)
 
 
 class Line:
@@ -470,3 +471,19 @@ def test_the_cost_of_a_plan_is_that_of_stepping_the_environment(action_of, simul
     to_go = 50.0 - end + (100.0 * float(actions[-1, 0]) if action_of == "plan" else 0.0)
     assert type(found) is float and found == pytest.approx(simulated + to_go, abs=1e-6)
     assert np.diff(states_of(dynamics, env, actions)).min() > 1e-3, "every step moves it"
+
+
+def test_a_call_that_failed_was_no_step():
+    controller, log = recorded()
+    plan(controller)
+    whole = controller.engine.rollout
+
+    def out_of_memory(*arguments):
+        raise MemoryError
+
+    controller.engine.rollout = out_of_memory
+    with pytest.raises(MemoryError):
+        plan(controller)
+    controller.engine.rollout = whole
+    plan(controller)
+    assert names(log).count("shift") == 1

@@ -10,6 +10,7 @@ import torch
 from mpc.controller import Controller
 from mpc.cost import Cost, EuclideanSteps, GivenSteps, LearnedSteps, NoSteps
 from mpc.rollout import RolloutEngine, Trajectories
+from napsp.distance.counts import UncertaintyConfig
 from napsp.envs.dynamics import get_state
 from napsp.policy.actors import GaussianPolicy
 from napsp.policy.greedy import GreedyPolicy
@@ -250,7 +251,7 @@ def model(factor=1.0, distance=True, visits=None):
         distance=SimpleNamespace(steps=steps) if distance else None,
         policy=SimpleNamespace(mode=lambda states, goals: goals - states),
         visits=visits,
-        config=SimpleNamespace(uncertainty_scale=8.0, uncertainty_power=0.5),
+        config=SimpleNamespace(uncertainty=UncertaintyConfig(8.0, 0.5)),
     )
 
 
@@ -455,3 +456,9 @@ def test_shortest_steps_of_the_maze_are_those_of_a_hand_drawn_way(worlds):
 def test_given_steps_name_a_wrong_shape():
     with pytest.raises(ValueError, match="it must return"):
         GivenSteps(lambda achieved, goal: np.zeros(3))(np.zeros((5, 2)), np.zeros((5, 2)), None, np.zeros(2))
+
+
+@pytest.mark.parametrize("words", [{"where": "XXmean"}, {"action_of": "nobody"}])
+def test_an_unknown_word_is_refused_and_not_taken_for_another(words):
+    with pytest.raises(ValueError, match="choose one of"):
+        Cost(lambda *_: None, lambda *_: None, **words)

@@ -3,23 +3,27 @@
 import numpy as np
 import pytest
 
-from planners.cem import CEM
-from planners.icem import ICEM
-from planners.mppi import MPPI, softmin
-from planners.predictive_sampling import PredictiveSampling
+from planners.cem import CEM, CEMConfig
+from planners.icem import ICEM, ICEMConfig
+from planners.mppi import MPPI, MPPIConfig, softmin
+from planners.predictive_sampling import PredictiveSampling, PredictiveSamplingConfig
 from planners.sampling import best_plans, coloured_noise, correlated_noise
-from planners.smooth import Held
+from planners.smooth import Held, HeldConfig
 
 SAMPLING = [MPPI, CEM, ICEM, PredictiveSampling]
 ONE_LATER = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])  # K = H = 3
-NAMES = {"samples": "n_samples", "elites": "n_elites", "refinements": "n_refinements"}
+CONFIGS = {
+    MPPI: MPPIConfig,
+    CEM: CEMConfig,
+    ICEM: ICEMConfig,
+    PredictiveSampling: PredictiveSamplingConfig,
+    Held: HeldConfig,
+}
 
 
 def search(kind, n_knots, n_controls, **settings):
     """The one place that knows how a search is built."""
-    if kind is not ICEM:
-        settings.pop("refinements", None)
-    return kind(n_knots, n_controls, **{NAMES.get(name, name): value for name, value in settings.items()})
+    return kind(n_knots, n_controls, CONFIGS[kind](**settings))
 
 
 def rng(seed=0):
