@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import copy
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -107,10 +109,33 @@ def descend(loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
     optimizer.step()
 
 
-@torch.no_grad()
-def follow(target: torch.nn.Module, network: torch.nn.Module, polyak: float) -> None:
-    """Move a slow copy towards its network: theta_old <- theta_old + polyak (theta - theta_old)."""
-    torch._foreach_lerp_(list(target.parameters()), list(network.parameters()), polyak)
+class Slow:
+    """A network's slow copy, frozen; :meth:`follow` moves it.
+
+    The lists of parameters are made once: walking through modules takes as long as moving them.
+    """
+
+    def __init__(self, network: torch.nn.Module, polyak: float) -> None:
+        self.network = copy.deepcopy(network).requires_grad_(False)
+        self._polyak = polyak
+        self._own, self._followed = list(self.network.parameters()), list(network.parameters())
+
+    @torch.no_grad()
+    def follow(self) -> None:
+        """theta_old <- theta_old + polyak (theta - theta_old)."""
+        torch._foreach_lerp_(self._own, self._followed, self._polyak)
+
+
+@contextmanager
+def held(parameters: list[Tensor]) -> Iterator[None]:
+    """Let losses run through parameters without gradients for them."""
+    for parameter in parameters:
+        parameter.requires_grad = False
+    try:
+        yield
+    finally:
+        for parameter in parameters:
+            parameter.requires_grad = True
 
 
 def mean(values: list[Tensor]) -> float:

@@ -11,7 +11,7 @@ from napsp.distance.losses import LOSSES, Labelled
 from napsp.distance.network import HEADS, DistanceConfig, DistanceNetwork
 from napsp.distance.quasimetric import interval_lengths
 from napsp.errors import UserError
-from napsp.execution import Execution, GraphedUpdate, descend, follow
+from napsp.execution import Execution, GraphedUpdate, Slow, descend, held
 from napsp.networks import mlp, rescale
 from napsp.policy.actors import Policy
 from napsp.policy.agent import PolicyBatch, PolicyConfig
@@ -54,15 +54,27 @@ def test_descending_moves_the_optimisers_own_network_only():
 
 
 def test_a_slow_copy_moves_by_its_share():
-    network, target = mlp(2, (3,), 1), mlp(2, (3,), 1)
-    expected = [
-        0.75 * t.detach() + 0.25 * n.detach() for t, n in zip(target.parameters(), network.parameters(), strict=True)
-    ]
-    follow(target, network, 0.25)
-    for found, wanted in zip(target.parameters(), expected, strict=True):
-        torch.testing.assert_close(found.detach(), wanted)
-    follow(target, network, 1.0)
-    assert all(torch.equal(t, n) for t, n in zip(target.parameters(), network.parameters(), strict=True))
+    for polyak in (0.25, 1.0):
+        network = mlp(2, (3,), 1)
+        slow = Slow(network, polyak)
+        start = [p.clone() for p in slow.network.parameters()]
+        assert not any(p.requires_grad for p in slow.network.parameters())
+        with torch.no_grad():
+            for parameter in network.parameters():
+                parameter.add_(torch.randn_like(parameter))
+        slow.follow()
+        for found, before, fast in zip(slow.network.parameters(), start, network.parameters(), strict=True):
+            torch.testing.assert_close(found, (1 - polyak) * before + polyak * fast.detach())
+
+
+def test_held_parameters_get_no_gradients_and_are_let_go():
+    network = mlp(2, (3,), 1)
+    parameters, inputs = list(network.parameters()), torch.ones(1, 2, requires_grad=True)
+    with pytest.raises(RuntimeError), held(parameters):
+        network(inputs).sum().backward()
+        assert inputs.grad is not None and all(p.grad is None for p in parameters)
+        raise RuntimeError
+    assert all(p.requires_grad for p in parameters)
 
 
 def test_rescaling_inputs_keeps_every_function():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -11,7 +9,7 @@ from torch import Tensor
 from napsp.distance.losses import LOSSES, Labelled
 from napsp.distance.network import DistanceConfig, DistanceNetwork
 from napsp.errors import UserError
-from napsp.execution import Execution, descend, follow
+from napsp.execution import Execution, Slow, descend
 from napsp.networks import rescale
 from napsp.scaling import Scaling
 
@@ -43,7 +41,8 @@ class LearnedDistance:
             raise UserError(f"unknown distance.loss {config.loss!r}; choose one of: {', '.join(LOSSES)}")
         self._device = execution.torch_device
         self.distance = DistanceNetwork(sizes, hidden, episode_length, config).to(self._device)
-        self.target_distance = copy.deepcopy(self.distance)
+        self._slow = Slow(self.distance, config.target_polyak)
+        self.target_distance = self._slow.network
         self.optimizer = execution.adam(self.distance.parameters(), config.learning_rate)
         self._config, self._batch_size = config, batch_size
         self._loss = LOSSES[config.loss]
@@ -96,7 +95,7 @@ class LearnedDistance:
 
     def update_target(self) -> None:
         """Algorithm 1, line 9: theta_old <- theta (or a Polyak step towards it)."""
-        follow(self.target_distance, self.distance, self._config.target_polyak)
+        self._slow.follow()
 
     def rescale(self, scaling: Scaling) -> None:
         """Read inputs under another scaling, with the same distances."""

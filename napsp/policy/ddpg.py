@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import copy
-
 import torch
 from torch import Tensor
 
-from napsp.execution import Execution, descend, follow, mean
+from napsp.execution import Execution, Slow, descend, held, mean
 from napsp.networks import rescale
 from napsp.policy.actors import DeterministicPolicy
 from napsp.policy.agent import PolicyBatch, PolicyConfig
@@ -44,7 +42,9 @@ class DDPG:
         device = execution.torch_device
         self.policy = DeterministicPolicy(sizes, hidden, config.action_noise).to(device)
         self.critic = Critic(sizes, hidden, 1 + config.clipped_double_q).to(device)
-        self.target_policy, self.target_critic = copy.deepcopy(self.policy), copy.deepcopy(self.critic)
+        self._slow = Slow(self.policy, config.polyak), Slow(self.critic, config.polyak)
+        self.target_policy, self.target_critic = (slow.network for slow in self._slow)
+        self._critic_parameters = list(self.critic.parameters())
         self.optimizers = {
             "policy_optimizer": execution.adam(self.policy.parameters(), config.learning_rate),
             "critic_optimizer": execution.adam(self.critic.parameters(), config.learning_rate),
@@ -64,9 +64,10 @@ class DDPG:
         batch = PolicyBatch(*tensors)
         loss, metrics = self._critic_loss(self, batch)
         descend(loss, self.optimizers["critic_optimizer"])
-        descend(self._policy_loss(self, batch), self.optimizers["policy_optimizer"])
-        follow(self.target_policy, self.policy, self.config.polyak)
-        follow(self.target_critic, self.critic, self.config.polyak)
+        with held(self._critic_parameters):
+            descend(self._policy_loss(self, batch), self.optimizers["policy_optimizer"])
+        for slow in self._slow:
+            slow.follow()
         return metrics
 
     def rescale(self, scaling: Scaling) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 import math
 
 import torch
 from torch import Tensor
 
-from napsp.execution import Execution, descend, follow, mean
+from napsp.execution import Execution, Slow, descend, held, mean
 from napsp.networks import rescale
 from napsp.policy.actors import GaussianPolicy, squash
 from napsp.policy.agent import PolicyBatch, PolicyConfig
@@ -41,17 +40,19 @@ class SAC:
         self.device, self.config = execution.torch_device, config
         self.policy = GaussianPolicy(sizes, hidden).to(self.device)
         self.critic = Critic(sizes, hidden, n_critics=2).to(self.device)
-        self.target_critic = copy.deepcopy(self.critic)
+        self._slow_critic = Slow(self.critic, config.polyak)
+        self.target_critic = self._slow_critic.network
+        self._critic_parameters = list(self.critic.parameters())
         start = 0.1 if config.entropy_weight is None else config.entropy_weight
         self.log_alpha = torch.tensor(float(start), device=self.device).log().requires_grad_()
         self.min_log_alpha = math.log(config.min_entropy_weight * lost_step)
         self.target_entropy = -float(sizes[1])
+        self.adapts = config.entropy_weight is None
+        adapted = [self.log_alpha] if self.adapts else []  # in one step with the policy: neither asks the other
         self.optimizers = {
-            "policy_optimizer": execution.adam(self.policy.parameters(), config.learning_rate),
+            "policy_optimizer": execution.adam([*self.policy.parameters(), *adapted], config.learning_rate),
             "critic_optimizer": execution.adam(self.critic.parameters(), config.learning_rate),
         }
-        if config.entropy_weight is None:
-            self.optimizers["alpha_optimizer"] = execution.adam([self.log_alpha], config.learning_rate)
         self._critic_loss, self._policy_loss = execution.loss(critic_loss), execution.loss(policy_loss)
         self._update = execution.update(self._update_once)
 
@@ -72,13 +73,14 @@ class SAC:
         alpha = self.log_alpha.detach().exp()
         loss, metrics = self._critic_loss(self, batch, next_noise, alpha)
         descend(loss, self.optimizers["critic_optimizer"])
-        loss, log_density = self._policy_loss(self, batch, noise, alpha)
-        descend(loss, self.optimizers["policy_optimizer"])
-        if "alpha_optimizer" in self.optimizers:
-            descend(alpha_loss(self, log_density), self.optimizers["alpha_optimizer"])
+        with held(self._critic_parameters):
+            loss, log_density = self._policy_loss(self, batch, noise, alpha)
+            loss = loss + alpha_loss(self, log_density) if self.adapts else loss
+            descend(loss, self.optimizers["policy_optimizer"])
+        if self.adapts:
             with torch.no_grad():
                 self.log_alpha.clamp_(min=self.min_log_alpha)
-        follow(self.target_critic, self.critic, self.config.polyak)
+        self._slow_critic.follow()
         return {**metrics, "entropy_weight": alpha}
 
     def rescale(self, scaling: Scaling) -> None:
