@@ -139,7 +139,7 @@ def beside(world: Any, goals: np.ndarray, rng: np.random.Generator) -> np.ndarra
 
 def play(config: TrainConfig, policy: Any, options: CountGateOptions) -> tuple[Any, Episodes, Episodes | None]:
     """The task, its warm-up episodes, and those of a policy with the exploration of its training."""
-    envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
+    envs: list[Any] = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
     rng, generator = np.random.default_rng(options.seed), torch.Generator().manual_seed(options.seed)
     warmup, parts = warm_up(envs, config, rng, generator), []
     while policy is not None and sum(map(len, parts)) < options.episodes:
@@ -159,6 +159,7 @@ def measure(options: CountGateOptions) -> dict[str, Any]:
             raise
         model = None
     config = preset(env_name) if model is None else model.config
+    env: Any
     env, warmup, everything = play(config, None if model is None else model.policy, options)
     wanted = np.stack([env.reset(seed=EVALUATION_SEED + i)[0]["desired_goal"] for i in range(options.goals)])
     figures: dict[str, Any] = {"env": env_name, "warmup_episodes": len(warmup), "trained_episodes": 0}

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import torch
 from torch import Tensor
 
 from napsp.compiled import compiled
 from napsp.errors import UserError
+
+N = TypeVar("N", bound=torch.nn.Module)
 
 
 @dataclass(frozen=True)
@@ -109,25 +111,26 @@ def descend(loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
     optimizer.step()
 
 
-class Slow:
+class Slow(Generic[N]):
     """A network's slow copy, frozen; :meth:`follow` moves it.
 
-    The lists of parameters are made once: walking through modules takes as long as moving them.
+    The list of parameters is made once: walking through modules takes longer than moving them.
     """
 
-    def __init__(self, network: torch.nn.Module, polyak: float) -> None:
-        self.network = copy.deepcopy(network).requires_grad_(False)
+    def __init__(self, network: N, polyak: float) -> None:
+        self.network: N = copy.deepcopy(network).requires_grad_(False)
         self._polyak = polyak
-        self._own, self._followed = list(self.network.parameters()), list(network.parameters())
+        self._pairs = list(zip(self.network.parameters(), network.parameters(), strict=True))
 
     @torch.no_grad()
     def follow(self) -> None:
         """theta_old <- theta_old + polyak (theta - theta_old)."""
-        torch._foreach_lerp_(self._own, self._followed, self._polyak)
+        for own, followed in self._pairs:
+            own.lerp_(followed, self._polyak)
 
 
 @contextmanager
-def held(parameters: list[Tensor]) -> Iterator[None]:
+def held(parameters: Sequence[Tensor]) -> Iterator[None]:
     """Let losses run through parameters without gradients for them."""
     for parameter in parameters:
         parameter.requires_grad = False

@@ -82,7 +82,7 @@ def parse(arguments: list[str]) -> tuple[TrainConfig, Options, Execution]:
         name, joined, value = flag.removeprefix("--").partition("=")
         if flag.startswith("--") and name in chosen:
             chosen[name] = value if joined else following
-    default = preset(**chosen)
+    default = preset(chosen["env"], chosen["method"], chosen["recipe"])
 
     def all_of(
         config: Annotated[TrainConfig, tyro.conf.arg(name="")] = default,

@@ -125,6 +125,6 @@ class DistanceNetwork(nn.Module):
     def plain(self) -> MLPHead | None:
         """The one plain mlp that d consists of, for those who write it out; None if it is more than that."""
         head = self.heads[0]
-        plain = len(self.heads) == 1 and isinstance(head, MLPHead)
-        plain = plain and not any(isinstance(layer, nn.LayerNorm) for layer in head.net)
-        return head if plain else None  # type: ignore[return-value]
+        if len(self.heads) > 1 or not isinstance(head, MLPHead):
+            return None
+        return None if any(isinstance(layer, nn.LayerNorm) for layer in head.net) else head

@@ -32,6 +32,6 @@ def used_actions(env: Any) -> np.ndarray:
 
     used = np.empty(n_actions, bool)
     for k in range(n_actions):
-        ends = [features(np.where(np.arange(n_actions) == k, end, 0.25)) for end in (-0.75, 0.75)]
-        used[k] = not np.array_equal(*ends)
+        low, high = (features(np.where(np.arange(n_actions) == k, end, 0.25)) for end in (-0.75, 0.75))
+        used[k] = not np.array_equal(low, high)
     return used

@@ -93,8 +93,12 @@ class PolicyBatch(NamedTuple):
 class Agent(Protocol):
     """A policy with what trains it; see :class:`napsp.policy.sac.SAC` and :class:`napsp.policy.ddpg.DDPG`."""
 
-    policy: Policy
     optimizers: dict[str, torch.optim.Adam]
+
+    @property
+    def policy(self) -> Policy:
+        """What acts."""
+        ...
 
     def train(self, transitions: PolicyBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
         """Update everything once per batch of raw transitions ``(n * batch_size, .)``; figures to log."""
