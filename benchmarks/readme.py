@@ -18,7 +18,8 @@ START, END = "<!-- results:start -->", "<!-- results:end -->"
 OPEN = (planning.glance_table, training.learning_table)
 FOLDED = (
     planning.cost_table, planning.versus_table, planning.smoothing_table, training.training_table,
-    training.accuracy_table, training.coverage_table, speed.speed_table, speed.throughput_table, speed.learner_table,
+    training.accuracy_table, training.coverage_table, training.gate_table, speed.speed_table, speed.throughput_table,
+    speed.learner_table,
 )  # fmt: skip
 """Tables that a reader opens when interested."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -151,3 +152,30 @@ def coverage_table() -> list[str]:
         figures = [f"{float(row[k]):.2f}" for k in names]
         lines.append(f"| {row['env']} | {name} | {row['seed']} | {row['episodes']} | {' | '.join(figures)} |")
     return lines
+
+
+def gate_table() -> list[str]:
+    """How often the gate of eq. 4b errs."""
+    lines = [
+        "### The gate of eq. 4b (`python -m benchmarks.count_gate --env fetch_wall`)",
+        "",
+        "Shares of N(s, a, g) > 0. *False*: for goals that no episode came within two radii of - places nobody came near, and goals of the",
+        "task with their visitors left out of the counts; the worse of the two. *True*: half a radius beside a state that the same episode",
+        "reached later. After the random warm-up episodes, and with 1000 episodes of the trained policy and its exploration.",
+        "",
+        "| task | warm-up episodes | false | true | all episodes | false | true |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    rows = {row["env"]: row for row in read_results(RESULTS / "count_gate.csv")}
+    for env in (*suite("paper"), *suite("harder"), *suite("variant")):
+        if env in rows:
+            lines.append(f"| {env} | {' | '.join([*_gate(rows[env], 'warmup'), *_gate(rows[env], 'trained')])} |")
+    return lines if rows else []
+
+
+def _gate(row: Mapping[str, str], kind: str) -> list[str]:
+    """Episodes, worse false rate and true rate of one kind of data."""
+    if not row.get(f"{kind}_true"):
+        return ["not run", "-", "-"]
+    false = [float(row[f"{kind}_false_{where}"]) for where in ("anywhere", "left_out")]
+    return [row[f"{kind}_episodes"], f"{np.nanmax(false):.3f}", f"{float(row[f'{kind}_true']):.2f}"]
