@@ -168,7 +168,7 @@ def measure(options: CountGateOptions) -> dict[str, Any]:
             continue
         scaling = scaling_of(episodes if config.rescale else warmup)
         rng = np.random.default_rng(options.seed)
-        counts = CountModel(sizes_of(env), config.counts, scaling, rng, used_actions(env.unwrapped))
+        counts = CountModel(sizes_of(env), preset(env_name).counts, scaling, rng, used_actions(env.unwrapped))
         found = rates(env.unwrapped, episodes, wanted.astype(np.float32), counts, options)
         figures |= {f"{kind}_{name}": value for name, value in found.items()}
         figures[f"{kind}_episodes"] = len(episodes)

@@ -127,6 +127,7 @@ class TrainConfig:
 
 DEFAULT = TrainConfig()
 NO_DIFFERENCE = ("seed", "recipe")
+OF_THE_GATE = ("counts.pair_bits", "counts.goal_cell", "counts.n_lattices")  # N(s, a, g), which eq. 4b alone asks for
 """Options that are no part of a question: a recipe is the values that it sets."""
 
 
@@ -134,13 +135,15 @@ def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
     """What a stored configuration asks, as :meth:`TrainConfig.identity`: task, method, differences from the defaults.
 
     An option that ``values`` lack has today's default: whoever adds one chooses a default that leaves things as they
-    were. One that is unknown today is a difference, so such a row is never taken for one of today's.
+    were. One that is unknown today is a difference, so such a row is never taken for one of today's. How N(s, a, g) is
+    counted is no difference where nobody asks for it.
     """
     usual, found = flat(to_dict(DEFAULT)), flat(values)
     found = {name: float(v) if isinstance(usual.get(name), float) else v for name, v in found.items()}  # 1 is 1.0
     different = {name: value for name, value in found.items() if name not in usual or usual[name] != value}
     task = {"env": found.get("env", DEFAULT.env), "method": found.get("method", DEFAULT.method)}
-    return {name: value for name, value in different.items() if name not in NO_DIFFERENCE} | task
+    idle = NO_DIFFERENCE if task["method"] == "ours" else (*NO_DIFFERENCE, *OF_THE_GATE)
+    return {name: value for name, value in different.items() if name not in idle} | task
 
 
 def preset(

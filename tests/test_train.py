@@ -279,6 +279,9 @@ def test_the_identity_is_the_difference_from_the_defaults():
     }  # fmt: skip
     assert tiny(seed=1).digest() == tiny(seed=2).digest() != tiny(**{"policy.discount": 0.9}).digest()
     assert from_dict(to_dict(tiny())) == tiny()
+    for method, asks in (("ours", True), ("offpolicy_ddl", False), ("sparse", False)):
+        finer = preset("fetch_wall", method, changes={"counts.goal_cell": 0.5})
+        assert (finer.identity() != preset("fetch_wall", method).identity()) is asks, "eq. 4b alone asks for N(s, a, g)"
 
 
 def test_the_loop_is_algorithm_1(tmp_path, monkeypatch):

@@ -177,7 +177,7 @@ CARDS: dict[str, Card] = {
         PICK_WALL,
         50,
         aliases=("fetch_pick_and_place_wall", "pick_place_wall"),
-        training=PICK_TRAINING,
+        training={**PICK_TRAINING, "counts.goal_cell": 0.1},  # goals spread over both sides; a radius is less of that
         recipes=RECIPES,
         planning=PICK_PLANNING,
     ),
@@ -195,7 +195,7 @@ CARDS: dict[str, Card] = {
         PICK,
         50,
         {"augmented_goal": False},
-        training=PICK_TRAINING,
+        training={**PICK_TRAINING, "counts.goal_cell": 0.22},  # the box alone: random play hardly moves it
         recipes=RECIPES,
         planning=PLAIN_PICK_PLANNING,
         suite="variant",
