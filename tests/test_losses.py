@@ -7,7 +7,6 @@ from tabular import GridWorld, TabularDistance
 
 from napsp.data.buffer import sample_pairs, sample_triples
 from napsp.data.episodes import Episodes
-from napsp.distance.counts import CountConfig, CountModel, KeyCounts, SimHash, uncertainty
 from napsp.distance.labels import hypotenuse, temporal_label
 from napsp.distance.learned import LearnedDistance
 from napsp.distance.network import DistanceConfig, DistanceNetwork
@@ -96,92 +95,6 @@ def test_goals_of_other_episodes_are_wanted_and_achieved_ones_in_equal_parts():
     assert (~own & wanted).mean() == pytest.approx(0.3, abs=0.01)
     assert (~own & ~wanted).mean() == pytest.approx(0.3, abs=0.01)
     np.testing.assert_array_equal(batch.rewards == 0, goal == batch.next_observations[:, 0])
-
-
-# -- counts and eq. 2 --
-
-
-def test_counts_equal_a_dictionary():
-    rng, table, truth = np.random.default_rng(0), KeyCounts(), {}
-    assert not table.count(np.arange(3)).any()
-    for _ in range(5):
-        keys = rng.integers(-300, 300, 200)
-        table.add(keys)
-        for key in keys:
-            truth[key] = truth.get(key, 0) + 1
-    probe = np.arange(-400, 400)
-    expected = [truth.get(key, 0) for key in probe]
-    np.testing.assert_array_equal(table.count(probe), expected)
-    assert 0 in expected and sum(truth.values()) == table.counts.sum()
-    table.clear()
-    assert not table.count(probe).any()
-
-
-def test_a_simhash_is_the_signs_of_affine_projections_of_the_inputs_in_use():
-    rng = np.random.default_rng(0)
-    used = np.array([True, False, True])
-    for n_bits in (1, 8, 16, 33, 62):
-        simhash = SimHash.drawn(used, n_bits, rng)
-        rows = rng.standard_normal((20, 3))
-        bits = rows @ simhash.projection[:-1] + simhash.projection[-1] > 0
-        np.testing.assert_array_equal(simhash(rows), bits @ (1 << np.arange(n_bits)))
-        np.testing.assert_array_equal(
-            simhash(rows), simhash(rows + np.array([0, 9.0, 0])), "what nobody uses does not enter"
-        )
-        assert n_bits < 8 or (simhash(rows) != simhash(rows + np.array([9.0, 0, 0]))).any()
-
-
-def unscaled(n_goal=1):
-    return Scaling(np.zeros(1), np.ones(1), np.zeros(n_goal), np.ones(n_goal))
-
-
-def test_reached_counts_each_later_pair_once():
-    episodes = chain_episodes(1, length=4)
-    scaling = Scaling.estimate(episodes.observations, episodes.achieved_goals)
-    counts = CountModel((1, 1, 1), CountConfig(62, 62, 0.5, 2), scaling, np.random.default_rng(0))
-    counts.update(episodes)
-    counts.update(episodes)
-    states, actions, goals = episodes.observations[0], episodes.actions[0], episodes.achieved_goals[0]
-    for i in range(4):
-        row = states[i : i + 1], actions[i : i + 1]
-        assert counts.visits(*row) == 2
-        for j in range(5):
-            expected = 2 if j > i else 0
-            assert counts.reached(*row, goals[j : j + 1]) == expected, (i, j)
-
-
-def test_goals_are_told_apart_at_their_own_resolution_and_borders_do_not_hide_them():
-    """Cells of edge e: two edges away is never the same goal; a tenth of an edge away nearly always is."""
-    rng, n = np.random.default_rng(0), 2000
-    counts = CountModel((1, 1, 2), CountConfig(goal_cell=0.5, n_lattices=2), unscaled(2), rng)
-    edge = 0.5 * 2
-    goals, aside = rng.uniform(-3, 3, (n, 2)), rng.standard_normal((n, 2))
-    aside *= edge / np.linalg.norm(aside, axis=1, keepdims=True)
-
-    def same(offset):
-        parts = [(table.goal_part(goals), table.goal_part(goals + offset)) for table in counts.reached_tables]
-        return np.array([own == other for own, other in parts])
-
-    assert same(0.0 * aside).all() and not same(2.0 * aside).any()
-    near = same(0.1 * aside)
-    assert near.any(0).mean() > 0.97, "in one of two lattices"
-    assert near[0].mean() < 0.93, "one alone has borders"
-
-
-def test_recounting_under_the_same_scaling_changes_nothing():
-    episodes = chain_episodes(5)
-    counts = CountModel((1, 1, 1), CountConfig(), unscaled(), np.random.default_rng(0))
-    counts.update(episodes)
-    before = [(table.keys, table.counts) for table in counts.tables()]
-    counts.recount(episodes, unscaled())
-    for table, (keys, numbers) in zip(counts.tables(), before, strict=True):
-        np.testing.assert_array_equal(table.keys, keys)
-        np.testing.assert_array_equal(table.counts, numbers)
-
-
-def test_uncertainty_is_equation_2():
-    np.testing.assert_allclose(uncertainty(np.array([0, 3, 99]), 10.0, 0.5), [10.0, 5.0, 1.0])
-    np.testing.assert_allclose(uncertainty(np.array([1]), 8.0, 3.0), [1.0])
 
 
 # -- eq. 4a --
