@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, learning_curves, usual_recipe
 from benchmarks.command import read_options
-from napsp.config import DEFAULT, METHODS, PAPER, identity_of, preset, recipes
+from napsp.config import DEFAULT, METHODS, OF_THE_GATE, PAPER, identity_of, preset, recipes
 from napsp.envs.cards import suite
 from napsp.errors import run_command
 from napsp.settings import flat, to_dict
@@ -88,9 +88,12 @@ def line_of(identity: Mapping[str, Any]) -> Line | None:
     """The line of a run that asks this; None if it has an option otherwise that makes no line of its own."""
     asked = {**flat(to_dict(DEFAULT)), **identity}
     env, method = asked["env"], asked["method"]
+    idle = {"seed", "recipe", "n_episodes"}
+    if method != "ours" or "counts.reached_bits" in identity:
+        idle |= set(OF_THE_GATE)  # nobody asks for N(s, a, g), or it had one joint key
     for recipe in recipes(env):
         usual = flat(to_dict(preset(env, method, recipe)))
-        different = {k for k, v in asked.items() if usual.get(k) != v} - {"seed", "recipe", "n_episodes"}
+        different = {k for k, v in asked.items() if usual.get(k) != v} - idle
         if different <= NAMED.keys():
             return Line(method, recipe, tuple((option, asked[option]) for option in NAMED if option in different))
     return None
