@@ -13,7 +13,7 @@ from benchmarks.cells import RESULTS, read_results, training_of
 from benchmarks.coverage import CoverageOptions
 from benchmarks.curves import Line, current_runs, expected_lines, full_line_of, is_current
 from benchmarks.distance_accuracy import AccuracyOptions
-from napsp.config import DEFAULT, from_dict, preset
+from napsp.config import DEFAULT, OF_THE_GATE, from_dict, preset
 from napsp.envs.cards import suite
 from napsp.settings import flat, to_dict
 from napsp.statistics import describe, interquartile_mean
@@ -54,7 +54,10 @@ def training_table() -> list[str]:
     for path in sorted(Path("napsp/checkpoints").glob("*/training.json")):
         record = json.loads(path.read_text())
         final, stored, usual = record["final"], flat(record["config"]), flat(to_dict(DEFAULT))
-        command = command_line(from_dict({name: value for name, value in stored.items() if name in usual}))
+        task = flat(to_dict(preset(stored["env"])))
+        lacking = {name: task[name] for name in OF_THE_GATE if name not in stored}  # of a key that it did not have
+        known = {name: value for name, value in stored.items() if name in usual}
+        command = command_line(from_dict({**known, **lacking}))
         otherwise = ", ".join(f"{name} {value}" for name, value in stored.items() if name not in usual)
         lines.append(
             f"| {path.parent.name} | `{command}` | {otherwise or '-'} | {record['episodes']:.0f} | {record['minutes']:.1f} "
