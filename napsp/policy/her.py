@@ -57,7 +57,7 @@ def sample_relabelled(
     length = episodes.actions.shape[1]
     episode, t = rng.integers(len(episodes), size=n), rng.integers(length, size=n)
     future = rng.integers(t + 1, length + 1)
-    goals = episodes.desired_goals[episode].copy()
+    goals = episodes.desired_goals[episode]  # a copy, as rows are picked
     chance = rng.random(n)
     relabel = chance < config.relabel_ratio
     goals[relabel] = episodes.achieved_goals[episode[relabel], future[relabel]]
