@@ -105,6 +105,32 @@ def test_rescaling_parts_reaches_all_their_networks():
             np.testing.assert_array_equal(network.scaling.numbers().observation_scale, 3.0)
 
 
+@pytest.mark.parametrize("kind", [SAC, DDPG])
+def test_a_phase_is_its_batches_one_after_the_other_each_with_noise_of_its_own(kind):
+    torch.manual_seed(0)
+    whole = kind(SIZES, HIDDEN, PolicyConfig())
+    parts = kind(SIZES, HIDDEN, PolicyConfig())
+    for name, network in parts.networks().items():
+        network.load_state_dict(whole.networks()[name].state_dict())
+    scaling = Scaling(np.full(5, 0.5, np.float32), np.full(5, 2.0, np.float32), *np.ones((2, 3), np.float32))
+    for network in (*whole.networks().values(), *parts.networks().values()):
+        network.scaling.set(scaling)
+    transitions, noise = batch(192), torch.randn((2, 192, 2), generator=torch.Generator().manual_seed(7))
+    metrics = whole.train(transitions, 64, torch.Generator().manual_seed(7))
+    observations, goals = (transitions.observations - 0.5) / 2.0, transitions.goals - 1.0
+    following = (transitions.next_observations - 0.5) / 2.0
+    scaled = PolicyBatch(observations, transitions.actions, following, goals, transitions.rewards)
+    rows = []
+    for k in range(3):
+        rows_of_batch = slice(64 * k, 64 * k + 64)
+        drawn = (noise[:, rows_of_batch],) if kind is SAC else ()
+        rows.append(parts._update(*(part[rows_of_batch] for part in scaled), *drawn))
+    for network, wanted in zip(whole.networks().values(), parts.networks().values(), strict=True):
+        for parameter, expected in zip(network.parameters(), wanted.parameters(), strict=True):
+            torch.testing.assert_close(parameter, expected)
+    assert metrics == {name: pytest.approx(np.mean([float(row[name]) for row in rows])) for name in rows[0]}
+
+
 # -- heads and losses --
 
 
