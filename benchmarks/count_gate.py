@@ -12,14 +12,14 @@ space that nobody came near, and goals of the task, with the episodes that came 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, replace_results
+from benchmarks.cells import RESULTS, as_text, replace_results
 from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.config import TrainConfig, preset
@@ -27,10 +27,11 @@ from napsp.data.collect import ExploringActor, roll
 from napsp.data.episodes import Episodes, concatenate
 from napsp.distance.counts import CountModel, scaled_pairs
 from napsp.envs.actions import used_actions
-from napsp.errors import UserError, run_command
+from napsp.errors import run_command
 from napsp.learner import scaling_of
 from napsp.run import EVALUATION_SEED, warm_up
-from napsp.storage.checkpoint import load_model, shipped_model, sizes_of
+from napsp.settings import to_dict
+from napsp.storage.checkpoint import MODEL_FILE, SHIPPED, load_model, shipped_model, sizes_of
 from napsp.storage.files import write_json
 from napsp.storage.revision import git_revision
 
@@ -152,23 +153,21 @@ def play(config: TrainConfig, policy: Any, options: CountGateOptions) -> tuple[A
 def measure(options: CountGateOptions) -> dict[str, Any]:
     """All figures of a task."""
     env_name = tasks.canonical_name(options.env)
-    try:
-        model = load_model(options.checkpoint or shipped_model(env_name), env_name)
-    except UserError:
-        if options.checkpoint is not None:
-            raise
-        model = None
+    ships = (SHIPPED / env_name / MODEL_FILE).is_file()
+    model = load_model(options.checkpoint or shipped_model(env_name), env_name) if options.checkpoint or ships else None
     config = preset(env_name) if model is None else model.config
+    counted = preset(env_name).counts
     env: Any
     env, warmup, everything = play(config, None if model is None else model.policy, options)
     wanted = np.stack([env.reset(seed=EVALUATION_SEED + i)[0]["desired_goal"] for i in range(options.goals)])
-    figures: dict[str, Any] = {"env": env_name, "warmup_episodes": len(warmup), "trained_episodes": 0}
+    figures: dict[str, Any] = {"env": env_name, "training": "" if model is None else as_text(config.identity())}
+    figures |= {"counts": as_text(to_dict(counted)), "warmup_episodes": len(warmup), "trained_episodes": 0}
     for kind, episodes in (("warmup", warmup), ("trained", everything)):
         if episodes is None:
             continue
         scaling = scaling_of(episodes if config.rescale else warmup)
         rng = np.random.default_rng(options.seed)
-        counts = CountModel(sizes_of(env), preset(env_name).counts, scaling, rng, used_actions(env.unwrapped))
+        counts = CountModel(sizes_of(env), counted, scaling, rng, used_actions(env.unwrapped))
         found = rates(env.unwrapped, episodes, wanted.astype(np.float32), counts, options)
         figures |= {f"{kind}_{name}": value for name, value in found.items()}
         figures[f"{kind}_episodes"] = len(episodes)
@@ -180,15 +179,15 @@ def measure(options: CountGateOptions) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measure, print, keep a row, optionally write JSON."""
+    """Measure, print, keep a row of the usual options, optionally write JSON."""
     options = read_options(CountGateOptions, "count_gate")
     torch.set_num_threads(1)
     figures = measure(options)
     for name, value in figures.items():
         print(f"{name:24s} {value:.3f}" if isinstance(value, float) else f"{name:24s} {value}")
-    sizes = {name: getattr(options, name) for name in ("goals", "rows", "seed")}
-    row = {k: round(v, 4) if isinstance(v, float) else v for k, v in figures.items()}
-    replace_results(RESULTS / "count_gate.csv", ("env",), [{**row, **sizes, "revision": git_revision()}])
+    if replace(options, env=CountGateOptions.env, json=None) == CountGateOptions():  # what tables compare
+        row = {k: round(v, 4) if isinstance(v, float) else v for k, v in figures.items()}
+        replace_results(RESULTS / "count_gate.csv", ("env",), [{**row, "revision": git_revision()}])
     if options.json is not None:
         write_json(options.json, figures)
     return 0

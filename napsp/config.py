@@ -16,11 +16,13 @@ from napsp.data.collect import ExplorationConfig
 from napsp.data.outcomes import EvaluationConfig
 from napsp.distance.counts import CountConfig, UncertaintyConfig
 from napsp.distance.labels import TemporalConfig, TriangularConfig
+from napsp.distance.losses import LOSSES
 from napsp.distance.network import DistanceConfig
 from napsp.envs import canonical_name, episode_length
 from napsp.envs.cards import CARDS, Recipe
 from napsp.errors import UserError
 from napsp.policy.agent import PolicyConfig
+from napsp.policy.agents import AGENTS
 from napsp.policy.her import HERConfig
 from napsp.settings import MANY, changed, check_choice, check_ranges, digest, flat, to_dict
 
@@ -85,6 +87,8 @@ class TrainConfig:
         object.__setattr__(self, "env", canonical_name(self.env))
         object.__setattr__(self, "hidden", tuple(self.hidden))
         check_choice(self, method=METHODS, recipe=tuple(recipes(self.env)), matmul_precision=("highest", "medium"))
+        check_choice(self.policy, agent=tuple(AGENTS))
+        check_choice(self.distance, loss=tuple(LOSSES))
         at_least_one = ("n_episodes", "n_warmup_episodes", "episodes_per_iteration", "batch_size")
         updates = ("n_temporal_updates", "n_triangular_updates", "n_policy_updates")
         check_ranges(self, seed=(0, 2**31 - 1), **dict.fromkeys(at_least_one, (1, MANY)))
@@ -127,8 +131,9 @@ class TrainConfig:
 
 DEFAULT = TrainConfig()
 NO_DIFFERENCE = ("seed", "recipe")
-OF_THE_GATE = ("counts.pair_bits", "counts.goal_cell", "counts.n_lattices")  # N(s, a, g), which eq. 4b alone asks for
 """Options that are no part of a question: a recipe is the values that it sets."""
+OF_THE_GATE = ("counts.pair_bits", "counts.goal_cell", "counts.n_lattices")
+"""How N(s, a, g) is counted, for which eq. 4b alone asks."""
 
 
 def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,7 +144,9 @@ def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
     counted is no difference where nobody asks for it.
     """
     usual, found = flat(to_dict(DEFAULT)), flat(values)
-    found = {name: float(v) if isinstance(usual.get(name), float) else v for name, v in found.items()}  # 1 is 1.0
+    for name, value in found.items():  # 1 is 1.0
+        if isinstance(usual.get(name, ""), float | None) and isinstance(value, int) and not isinstance(value, bool):
+            found[name] = float(value)
     different = {name: value for name, value in found.items() if name not in usual or usual[name] != value}
     task = {"env": found.get("env", DEFAULT.env), "method": found.get("method", DEFAULT.method)}
     idle = NO_DIFFERENCE if task["method"] == "ours" else (*NO_DIFFERENCE, *OF_THE_GATE)

@@ -25,7 +25,7 @@ Metrics = dict[str, float]
 
 
 class Distance(Protocol):
-    """d_theta and d_theta_old; see :class:`napsp.distance.learned.LearnedDistance`."""
+    """d_theta and d_theta_old; see :class:`napsp.distance.learned.LearnedDistance`, which :mod:`napsp.run` can save."""
 
     def rows(self, observations: np.ndarray, actions: np.ndarray, goals: np.ndarray) -> Tensor:
         """What the other methods read, ``(B, ...)``, for (s, a, g) ``(B, O)``, ``(B, A)``, ``(B, G)``."""
@@ -53,7 +53,7 @@ class Distance(Protocol):
 
 
 class Counts(Protocol):
-    """N(s, a) and N(s, a, g); see :class:`napsp.distance.counts.CountModel`."""
+    """N(s, a) and N(s, a, g); see :class:`napsp.distance.counts.CountModel`, which :mod:`napsp.run` can save."""
 
     def update(self, episodes: Episodes) -> None:
         """Count these episodes."""

@@ -10,14 +10,10 @@ from napsp.data.buffer import EpisodeBuffer
 from napsp.data.episodes import Episodes, SparseReward
 from napsp.distance.counts import CountModel
 from napsp.distance.learned import LearnedDistance
-from napsp.errors import UserError
 from napsp.execution import Execution
 from napsp.learner import Learner, scaling_of
 from napsp.policy.agent import Agent
-from napsp.policy.ddpg import DDPG
-from napsp.policy.sac import SAC
-
-AGENTS: dict[str, type[SAC] | type[DDPG]] = {"sac": SAC, "ddpg": DDPG}
+from napsp.policy.agents import AGENTS
 
 
 def build_learner(
@@ -45,15 +41,14 @@ def build_learner(
         used_actions: which numbers of an action change anything, bool ``(A,)``; None is all.
     """
     execution = execution or Execution()
-    if config.policy.agent not in AGENTS:
-        raise UserError(f"unknown policy.agent {config.policy.agent!r}; choose one of: {', '.join(AGENTS)}")
     length, size = config.episode_length, config.batch_size
     distance = LearnedDistance(sizes, config.hidden, length, size, config.distance, execution)
     agent: Agent = AGENTS[config.policy.agent](sizes, config.hidden, config.policy, config.lost_step, execution)
     scaling, buffer = scaling_of(warmup), EpisodeBuffer()
     for network in (*distance.networks().values(), *agent.networks().values()):
         network.scaling.set(scaling)  # type: ignore[operator, union-attr]
-    counts = CountModel(sizes, config.counts, scaling, rng, used_actions)
+    # Eq. 4b alone asks for N(s, a, g); the others need not count it.
+    counts = CountModel(sizes, config.counts, scaling, rng, used_actions, counts_goals=config.method == "ours")
     buffer.extend(warmup)
     counts.update(warmup)
     return Learner(config, distance, counts, agent, buffer, sparse_reward, rng, generator, len(warmup))

@@ -36,5 +36,10 @@ TRAINING: dict[str, str] = {
 }
 """Old name, in files of format napsp-1, to dotted name."""
 
-FLAGS = {**TRAINING, "reached_bits": "counts.pair_bits"}
-"""The same for command lines; the one key of N(s, a, g) has become one of two parts."""
+FLAGS = {
+    **TRAINING,
+    "epsilon": "explore.epsilon, and is the share of random steps: what 0.1 was is 0.28 with held actions",
+    "min_entropy_weight": "policy.min-entropy-weight, and is in lost steps, see docs/paper.md",
+    "reached_bits": "counts.pair-bits, for (s, a) alone; goals have --counts.goal-cell and --counts.n-lattices",
+}
+"""The same for command lines, with a word where the meaning has changed."""

@@ -57,14 +57,14 @@ class Run:
         git_revision()  # now, not when the first checkpoint is written
         envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
         state = folder / STATE_FILE
-        if restart:
-            for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, "metrics.csv"):
-                (folder / name).unlink(missing_ok=True)
-        saved = read_training(state, config) if state.is_file() else None
+        saved = read_training(state, config) if state.is_file() and not restart else None
         if saved and saved[0]["buffer.observations"].shape[-1] != sizes_of(envs[0])[0]:
             raise UserError(f"{folder} holds a run of another version of {config.env}; --restart begins anew")
         warmup = warmup_episodes(saved[0], config) if saved else None
         learner = new_learner(config, envs, warmup, execution)
+        if restart:  # not before all settings have proved possible
+            for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, "metrics.csv"):
+                (folder / name).unlink(missing_ok=True)
         iteration, rows, seconds, revisions = 0, [], 0.0, [git_revision()]
         if saved:
             iteration = restore_training(learner, *saved)
@@ -171,8 +171,11 @@ class Run:
 
     def record(self) -> None:
         """Write what describes the finished run, once."""
-        if not self.interrupted and not (self.folder / RECORD_FILE).is_file():
-            write_record(self.folder, self.config, self.progress.rows, self.revisions)
+        if self.interrupted or (self.folder / RECORD_FILE).is_file():
+            return
+        if not self.progress.rows:
+            raise UserError(f"{self.folder} has lost the metrics.csv of its finished run; begin anew with --restart")
+        write_record(self.folder, self.config, self.progress.rows, self.revisions)
 
 
 def new_learner(

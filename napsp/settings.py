@@ -110,5 +110,10 @@ def refuse_old_flags(arguments: list[str], renamed: Mapping[str, str]) -> None:
     """
     for argument in arguments:
         name = argument.removeprefix("--").partition("=")[0].replace("_", "-")
-        if argument.startswith("--") and name in renamed:
+        if not argument.startswith("--"):
+            continue
+        if name in renamed:
             raise UserError(f"--{name} is now called --{renamed[name]}")
+        if name.startswith("no-") and name.removeprefix("no-") in renamed:
+            head, _, last = renamed[name.removeprefix("no-")].rpartition(".")
+            raise UserError(f"--{name} is now called --{head}.no-{last}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,7 +79,7 @@ def parse(arguments: list[str]) -> tuple[TrainConfig, Options, Execution]:
     """
     refuse_old_flags(arguments, {old.replace("_", "-"): new.replace("_", "-") for old, new in FLAGS.items()})
     chosen = {"env": "fetch_wall", "method": "ours", "recipe": PAPER}
-    for flag, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    for flag, following in itertools.pairwise([*arguments, ""]):
         name, joined, value = flag.removeprefix("--").partition("=")
         if flag.startswith("--") and name in chosen:
             chosen[name] = value if joined else following

@@ -50,9 +50,11 @@ def test_truncated_and_foreign_checkpoints_give_one_clear_line(saved, tmp_path):
 def test_a_checkpoint_of_a_task_that_is_not_at_hand_is_named_as_such(saved):
     path, _ = saved
     tensors, header = read_tensors(path, "model")
-    write_tensors(path, tensors, {**header, "config": {**header["config"], "env": "gone:Task"}})
-    with pytest.raises(UserError, match="was trained on gone:Task, not on point_maze"):
-        load_model(path, "point_maze")
+    for written in (header["format"], OLDER):
+        gone = {**header, "format": written, "config": {**header["config"], "env": "gone:Task"}}
+        write_tensors(path, tensors, gone)
+        with pytest.raises(UserError, match="was trained on gone:Task, not on point_maze"):
+            load_model(path, "point_maze")
 
 
 @pytest.mark.parametrize("content", ["", "episodes,success_rate\n10,much\n", "success_rate\n0.5\n", "episodes\n1,2\n"])
@@ -62,7 +64,7 @@ def test_damaged_rows_are_one_sentence(tmp_path, content):
     if not content:
         assert read_rows(path, 10) == []
         return
-    with pytest.raises(UserError, match=r"metrics.csv is damaged .*; delete it, or begin anew with --restart"):
+    with pytest.raises(UserError, match=r"metrics.csv is damaged .*; put back a copy, or begin anew with --restart"):
         read_rows(path, 10)
 
 

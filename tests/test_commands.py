@@ -1,6 +1,5 @@
 """The commands as a user types them: results on disk, one clear line for bad input, layering."""
 
-import ast
 import csv
 import json
 import os
@@ -281,33 +280,6 @@ def test_evaluate_runs_the_shipped_policy(tmp_path):
 
 def test_wilson_interval_against_the_textbook():
     np.testing.assert_allclose(wilson_interval(8, 10), (0.4901625, 0.9433178), atol=1e-6)
-
-
-# -- layering: napsp.envs -> napsp -> mpc -> planners' command line -> benchmarks --
-
-LAYERS = ("napsp", "mpc", "planners", "benchmarks")
-
-
-def imports_of(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-
-
-def test_imports_run_one_way():
-    for path in [p for layer in LAYERS for p in (ROOT / layer).rglob("*.py")]:
-        layer = LAYERS.index(path.relative_to(ROOT).parts[0])
-        for name in imports_of(path):
-            top = name.split(".")[0]
-            assert top not in LAYERS[layer + 1 :], f"{path} imports {name}"
-            assert top != "casadi" or "smoothing" in path.parts, f"{path} imports casadi"
-    for path in (ROOT / "napsp" / "envs").glob("*.py"):
-        for name in imports_of(path):
-            allowed = ("napsp.envs", "napsp.errors")
-            assert not name.startswith("napsp") or name.startswith(allowed), f"{path} imports {name}"
-            assert name.split(".")[0] != "torch", f"{path} imports torch"
 
 
 def test_a_reader_that_has_enough_ends_a_command_without_a_word():

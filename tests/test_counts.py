@@ -71,7 +71,7 @@ def agree(model, config, episodes, rng):
 
 def test_both_counts_are_those_of_a_dictionary_and_follow_another_scaling(monkeypatch):
     monkeypatch.setattr(module, "RECOUNT_CHUNK", 3)
-    rng, config = np.random.default_rng(0), CountConfig(visit_bits=7, pair_bits=5, goal_cell=0.15, n_lattices=3)
+    rng, config = np.random.default_rng(0), CountConfig(visit_bits=7, pair_bits=7, goal_cell=0.06, n_lattices=3)
     model, episodes = CountModel(SIZES, config, scalings(rng), rng), random_episodes(10, rng)
     model.update(episodes[:4])
     model.update(episodes[4:])

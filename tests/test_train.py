@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import torch
 
-from napsp import envs
 from napsp.config import METHODS, TrainConfig, from_dict, preset, to_dict
 from napsp.distance.counts import CountModel
 from napsp.envs.cards import CARDS
@@ -22,7 +21,7 @@ from napsp.errors import UserError
 from napsp.execution import Execution
 from napsp.learner import Learner
 from napsp.renamed import TRAINING
-from napsp.run import Run, new_learner
+from napsp.run import Run
 from napsp.settings import as_flags, changed, flat
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors, write_tensors
@@ -88,7 +87,14 @@ def test_same_seed_same_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"policy.agent": "ddpg", "rescale": True, "policy.clipped_double_q": True, "distance.slow": True}]
+    "changes",
+    [
+        {},
+        {"rescale": True},
+        {"method": "sparse"},
+        {"method": "ddl"},
+        {"policy.agent": "ddpg", "rescale": True, "policy.clipped_double_q": True, "distance.slow": True},
+    ],
 )
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
     whole = train(tiny(**changes), tmp_path / "whole")
@@ -164,6 +170,28 @@ def test_other_settings_in_the_same_folder_are_refused(tmp_path):
     assert len(train(tiny(**{"policy.discount": 0.9}), tmp_path, restart=True)) == 3
 
 
+def test_a_restart_that_cannot_be_leaves_what_there_is(tmp_path):
+    train(tiny(n_episodes=8), tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(UserError, match="no box to hold"):
+        train(tiny(n_episodes=8, **{"explore.held_starts": 0.5}), tmp_path, restart=True)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_finished_run_that_lost_its_rows_says_so(tmp_path):
+    train(tiny(n_episodes=8), tmp_path)
+    for name in ("metrics.csv", "training.json"):
+        (tmp_path / name).unlink()
+    with pytest.raises(UserError, match=r"has lost the metrics\.csv of its finished run; begin anew with --restart"):
+        train(tiny(n_episodes=8), tmp_path)
+
+
+def test_how_goals_are_counted_touches_nothing_that_does_not_ask(tmp_path):
+    rows = [train(tiny(method="sparse", **{"counts.n_lattices": n}), tmp_path / str(n)) for n in (1, 3)]
+    assert str(learned(rows[0])) == str(learned(rows[1]))
+    assert not [name for name in read_tensors(tmp_path / "3" / STATE_FILE, "training state")[0] if "reached" in name]
+
+
 def test_a_run_begun_before_an_option_existed_is_continued(tmp_path):
     train(tiny(n_episodes=8), tmp_path)
     tensors, header = read_tensors(tmp_path / STATE_FILE, "training state")
@@ -196,6 +224,7 @@ def test_a_compiler_that_fails_is_one_sentence(tmp_path):
 def test_command_line_defaults_follow_the_task():
     config, options, execution = parse(["--env", "point_maze_long", "--seed", "7", "--method", "ddl"])
     assert config == preset("point_maze_long", "ddl", seed=7) and options.out is None and execution == Execution()
+    assert parse([])[0] == preset("fetch_wall")
     assert parse(["--env=fetch_reach_wall"])[0].env == "fetch_wall"
     assert parse(["--episodes", "77"])[0].n_episodes == parse(["--n-episodes", "77"])[0].n_episodes == 77
     config = parse(["--env", "fetch_wall", "--counts.goal-cell", "0.5", "--distance.slow", "--hidden", "8", "9"])[0]
@@ -224,6 +253,10 @@ def test_old_flags_get_a_sentence_with_the_new_name(capsys):
     ):
         with pytest.raises(UserError, match=f"--{old} is now called --{new}"):
             parse(["--env", "point_maze", f"--{old}"])
+    with pytest.raises(UserError, match=r"--no-cap-triangular is now called --triangular\.no-cap$"):
+        parse(["--no-cap-triangular"])
+    with pytest.raises(UserError, match=r"--epsilon is now called --explore\.epsilon, and is the share of"):
+        parse(["--epsilon", "0.1"])
     with pytest.raises(UserError, match=r"--evaluate-every is now called --evaluate\.every"):
         parse(["--evaluate_every=5"])
     for new in TRAINING.values():
@@ -234,6 +267,8 @@ def test_bad_settings_name_the_fix():
     for changes, words in (
         ({"method": "magic"}, "choose one of: sparse, ddl, offpolicy_ddl, ours"),
         ({"distance.head": "mlq"}, "unknown head 'mlq'; choose one of: mlp, quasimetric"),
+        ({"policy.agent": "td3"}, "unknown agent 'td3'; choose one of: sac, ddpg"),
+        ({"distance.loss": "cubic"}, "unknown loss 'cubic'; choose one of: squared"),
         ({"batch_size": 0}, "batch_size is 0; it must lie between 1"),
         ({"uncertainty.scale": 0.0}, "scale is 0.0"),
         ({"counts.visit_bits": 99}, "visit_bits is 99; it must lie between 1 and 62"),
@@ -248,9 +283,6 @@ def test_bad_settings_name_the_fix():
     ):
         with pytest.raises(UserError, match=words):
             tiny(**changes)
-    for changes, words in (({"policy.agent": "td3"}, "sac, ddpg"), ({"distance.loss": "cubic"}, "squared")):
-        with pytest.raises(UserError, match=f"choose one of: {words}"):
-            new_learner(tiny(**changes), [envs.make("point_maze")])
     with pytest.raises(UserError, match="does not fit this version"):
         from_dict({**to_dict(tiny()), "colour": 1})
 
@@ -277,6 +309,8 @@ def test_the_identity_is_the_difference_from_the_defaults():
     assert preset("fetch_wall", seed=3, changes=changes).identity() == {
         "env": "fetch_wall", "method": "ours", "counts.goal_cell": 0.5, "hidden": [8, 8],
     }  # fmt: skip
+    fixed = [tiny(**{"policy.entropy_weight": weight}).digest() for weight in (1, 1.0, 2)]
+    assert fixed[0] == fixed[1] != fixed[2]
     assert tiny(seed=1).digest() == tiny(seed=2).digest() != tiny(**{"policy.discount": 0.9}).digest()
     assert from_dict(to_dict(tiny())) == tiny()
     for method, asks in (("ours", True), ("offpolicy_ddl", False), ("sparse", False)):

@@ -130,7 +130,7 @@ class ReachedTable:
     """Counts of (s, a, g) for one SimHash of (s, a) and one lattice of goals.
 
     A key is a sum, modulo 2^64, of random odd multiples of the pair's key and of the cell's numbers: two different ones
-    coincide with a chance of 2^-63, and the keys of all pairs of a long episode cost one addition each.
+    coincide with a chance below 2^-50, and the keys of all pairs of a long episode cost one addition each.
 
     Args:
         pair: key of (s, a).
@@ -173,6 +173,8 @@ class CountModel:
         rng: draws the hashes.
         used_actions: which numbers of an action change anything, bool ``(A,)``; None is all. The others would tell
             apart what is the same.
+        counts_goals: count N(s, a, g) as well as N(s, a). Its hashes come from a stream of their own, so that all
+            else that is drawn does not depend on it.
     """
 
     def __init__(
@@ -182,6 +184,7 @@ class CountModel:
         scaling: Scaling,
         rng: np.random.Generator,
         used_actions: np.ndarray | None = None,
+        counts_goals: bool = True,
     ) -> None:
         n_observation, n_action, n_goal = sizes
         acting = np.ones(n_action, bool) if used_actions is None else used_actions
@@ -189,8 +192,10 @@ class CountModel:
         self.scaling = scaling
         self.visit_hash, self.visit_table = SimHash.drawn(used, config.visit_bits, rng), KeyCounts()
         # Evenly spread, so that what lies at a border of one lattice lies inside a cell of another.
-        shift, n = rng.uniform(size=n_goal), config.n_lattices
-        self.reached_tables = [ReachedTable.drawn(used, (shift + k / n) % 1.0, config, rng) for k in range(n)]
+        own = rng.spawn(1)[0]
+        shift, n = own.uniform(size=n_goal), config.n_lattices
+        shifts = [(shift + k / n) % 1.0 for k in range(n)] if counts_goals else []
+        self.reached_tables = [ReachedTable.drawn(used, moved, config, own) for moved in shifts]
 
     def update(self, episodes: Episodes) -> None:
         """Count every visited (s_i, a_i) and every (s_i, a_i, phi(s_j)) with j > i.

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from napsp.distance.losses import LOSSES, Labelled
 from napsp.distance.network import DistanceConfig, DistanceNetwork
-from napsp.errors import UserError
 from napsp.execution import Execution, Slow, descend
 from napsp.networks import rescale
 from napsp.scaling import Scaling
@@ -37,8 +36,6 @@ class LearnedDistance:
         config: DistanceConfig,
         execution: Execution,
     ) -> None:
-        if config.loss not in LOSSES:
-            raise UserError(f"unknown distance.loss {config.loss!r}; choose one of: {', '.join(LOSSES)}")
         self._device = execution.torch_device
         self.distance = DistanceNetwork(sizes, hidden, episode_length, config).to(self._device)
         self._slow = Slow(self.distance, config.target_polyak)

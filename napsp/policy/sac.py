@@ -98,7 +98,10 @@ class SAC:
 
 
 def critic_loss(sac: SAC, batch: PolicyBatch, noise: Tensor, alpha: Tensor) -> tuple[Tensor, Metrics]:
-    """Squared errors of both critics against r + discount * (min Q'(s', a') - alpha log pi(a')), a' ~ pi(s')."""
+    """Squared errors of both critics against r + discount * (min Q'(s', a') - alpha log pi(a')), a' ~ pi(s').
+
+    Metrics: the second critic's mean squared error, and the mean target.
+    """
     with torch.no_grad():
         outputs = sac.policy.outputs(batch.next_observations, batch.goals)
         actions, log_density, _ = squash(outputs, noise)

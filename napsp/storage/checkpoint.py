@@ -101,10 +101,11 @@ def load_model(path: str | Path, env: str) -> Model:
         path = SHIPPED / path.name
     if path.is_dir():
         path = path / MODEL_FILE
-    tensors, header = todays(*read_tensors(path, "model"))
+    tensors, header = read_tensors(path, "model")
     trained_on = header["config"]["env"]  # before anything else: a task of one's own may not be at hand any more
     if trained_on != canonical_name(env):
         raise UserError(f"{path} was trained on {trained_on}, not on {env}; give a checkpoint of {env}")
+    tensors, header = todays(tensors, header)
     config = from_dict(header["config"])
     sizes = tuple(header["sizes"])
     policy: Policy = GaussianPolicy(sizes, config.hidden)
