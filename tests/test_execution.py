@@ -1,5 +1,7 @@
 """How updates are run changes rounding alone: compiled, in a CUDA graph, with other heads, under another scaling."""
 
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -160,6 +162,29 @@ def test_members_are_fitted_on_their_own():
         subject.fit(rows, labels, 64)
         descend(LOSSES["squared"](alone, Labelled(rows, labels, 64))[0], optimizer)
     torch.testing.assert_close(subject.distance.members(rows)[1], alone.fractions(rows), atol=1e-6, rtol=1e-4)
+
+
+def test_the_loss_is_the_sum_of_the_members_squared_errors_in_units_of_t():
+    subject, rows = learned(n_members=2), rows_of(batch())
+    labels = 50 * torch.rand(64, generator=torch.Generator().manual_seed(0))
+    members = subject.distance.members(rows).detach()
+    loss, metrics = LOSSES["squared"](subject.distance, Labelled(rows, labels, 100))
+    torch.testing.assert_close(loss.detach(), ((members - labels / 50) ** 2).sum() / 100)
+    torch.testing.assert_close(metrics["predictions"], 50 * (members[0] + members[1]) / 2)
+
+
+@pytest.mark.parametrize("kind", [SAC, DDPG])
+def test_the_critics_loss_adds_up_the_critics_mean_squared_errors(kind):
+    torch.manual_seed(0)
+    agent = kind(SIZES, HIDDEN, PolicyConfig(clipped_double_q=True, discount=0.0, clip_values=False))
+    transitions = batch(32)
+    noise = (torch.zeros(32, 2), torch.zeros(())) if kind is SAC else ()
+    loss, metrics = sys.modules[kind.__module__].critic_loss(agent, transitions, *noise)
+    values = agent.critic.values(transitions.observations, transitions.actions, transitions.goals).detach()
+    errors = (values - transitions.rewards) ** 2  # without a future the target is the reward
+    torch.testing.assert_close(loss.detach(), errors[0].mean() + errors[1].mean())
+    torch.testing.assert_close(metrics["critic_loss"], errors[1].mean() if kind is SAC else errors.mean())
+    assert agent.tensors() == ({"log_alpha": agent.log_alpha} if kind is SAC else {})
 
 
 def test_interval_lengths_are_a_quasimetric():
