@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_train import tiny
+from tiny import tiny
 
 from benchmarks import cells, curves, distance_as_cost, policy_vs_mpc, smoothing, sweep, tables_training
 from benchmarks.curves import Line

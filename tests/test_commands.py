@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gymnasium import spaces
-from test_train import tiny
+from tiny import tiny
 
 from napsp import envs
 from napsp.errors import UserError

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from test_train import tiny
+from tiny import tiny
 
 from mpc.cost import LearnedSteps
 from napsp.distance.counts import uncertainty

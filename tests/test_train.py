@@ -1,7 +1,6 @@
 """Training end to end: it learns, it is deterministic, it survives being killed."""
 
 import csv
-import dataclasses
 import json
 import os
 import signal
@@ -13,43 +12,18 @@ import time
 import numpy as np
 import pytest
 import torch
+from tiny import TINY, learned, tiny
 
-from napsp.config import METHODS, TrainConfig, from_dict, preset, to_dict
+from napsp.config import METHODS
 from napsp.distance.counts import CountModel
-from napsp.envs.cards import CARDS
 from napsp.errors import UserError
-from napsp.execution import Execution
 from napsp.learner import Learner
-from napsp.renamed import TRAINING
 from napsp.run import Run
-from napsp.settings import as_flags, changed, flat
+from napsp.settings import as_flags
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors, write_tensors
 from napsp.storage.resume import STATE_FILE, read_training
 from napsp.train import parse, train
-
-TINY = {
-    "n_episodes": 16,
-    "n_warmup_episodes": 4,
-    "episodes_per_iteration": 2,
-    "n_temporal_updates": 3,
-    "n_triangular_updates": 2,
-    "n_policy_updates": 3,
-    "batch_size": 32,
-    "hidden": (16, 16),
-    "evaluate.every": 4,
-    "evaluate.n_episodes": 2,
-}
-
-
-def tiny(env="point_maze", method="ours", recipe="paper", **changes):
-    return preset(env, method, recipe, {**TINY, **changes})
-
-
-def learned(rows):
-    """Rows without what depends on the clock."""
-    clock = {"seconds", "steps_per_second", "minutes_left"}
-    return [{k: v for k, v in row.items() if k not in clock} for row in rows]
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -219,103 +193,6 @@ def test_a_compiler_that_fails_is_one_sentence(tmp_path):
     done = subprocess.run([*command, "--out", str(tmp_path / "run")], env=surroundings, capture_output=True, text=True)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "compiling the updates failed" in done.stderr and "leave --compiled out" in done.stderr
-
-
-def test_command_line_defaults_follow_the_task():
-    config, options, execution = parse(["--env", "point_maze_long", "--seed", "7", "--method", "ddl"])
-    assert config == preset("point_maze_long", "ddl", seed=7) and options.out is None and execution == Execution()
-    assert parse([])[0] == preset("fetch_wall")
-    assert parse(["--env=fetch_reach_wall"])[0].env == "fetch_wall"
-    assert parse(["--episodes", "77"])[0].n_episodes == parse(["--n-episodes", "77"])[0].n_episodes == 77
-    config = parse(["--env", "fetch_wall", "--counts.goal-cell", "0.5", "--distance.slow", "--hidden", "8", "9"])[0]
-    assert config == preset("fetch_wall", changes={"counts.goal_cell": 0.5, "distance.slow": True}, hidden=(8, 9))
-
-
-def test_ours_is_the_paper_on_every_task_and_a_recipe_is_named():
-    for env in CARDS:
-        config = preset(env)
-        beyond = (config.distance.slow, config.temporal.first_arrival, config.policy.clipped_double_q)
-        assert config.recipe == "paper" and not any(beyond) and config.her.other_goals_ratio == 0.0
-        assert config.distance.target_polyak == 1.0 and config.explore.held_starts == 0.0
-    for method, discount in (("ours", 0.9), ("sparse", 0.98)):
-        config = parse(["--env", "fetch_pick_place", "--recipe", "manipulation", f"--method={method}"])[0]
-        assert config == preset("fetch_pick_place", method, "manipulation") and config.policy.discount == discount
-        assert config.explore.held_starts == 0.5 and config.distance.slow
-    with pytest.raises(UserError, match="no recipe 'manipulation' for point_maze; choose one of: paper"):
-        preset("point_maze", recipe="manipulation")
-
-
-def test_old_flags_get_a_sentence_with_the_new_name(capsys):
-    for old, new in (
-        ("visit-bits", "counts.visit-bits"),
-        ("first-arrival", "temporal.first-arrival"),
-        ("reached-bits", "counts.pair-bits"),
-    ):
-        with pytest.raises(UserError, match=f"--{old} is now called --{new}"):
-            parse(["--env", "point_maze", f"--{old}"])
-    with pytest.raises(UserError, match=r"--no-cap-triangular is now called --triangular\.no-cap$"):
-        parse(["--no-cap-triangular"])
-    with pytest.raises(UserError, match=r"--epsilon is now called --explore\.epsilon, and is the share of"):
-        parse(["--epsilon", "0.1"])
-    with pytest.raises(UserError, match=r"--evaluate-every is now called --evaluate\.every"):
-        parse(["--evaluate_every=5"])
-    for new in TRAINING.values():
-        assert new in flat(to_dict(preset("point_maze"))), f"{new} exists"
-
-
-def test_bad_settings_name_the_fix():
-    for changes, words in (
-        ({"method": "magic"}, "choose one of: sparse, ddl, offpolicy_ddl, ours"),
-        ({"distance.head": "mlq"}, "unknown head 'mlq'; choose one of: mlp, quasimetric"),
-        ({"policy.agent": "td3"}, "unknown agent 'td3'; choose one of: sac, ddpg"),
-        ({"distance.loss": "cubic"}, "unknown loss 'cubic'; choose one of: squared"),
-        ({"batch_size": 0}, "batch_size is 0; it must lie between 1"),
-        ({"uncertainty.scale": 0.0}, "scale is 0.0"),
-        ({"counts.visit_bits": 99}, "visit_bits is 99; it must lie between 1 and 62"),
-        ({"seed": -1}, "seed is -1"),
-        ({"policy.discount": 1.0}, "discount is 1.0"),
-        ({"explore.epsilon": float("nan")}, "epsilon is nan"),
-        ({"her.relabel_ratio": 0.8, "her.other_goals_ratio": 0.3}, "exceed 1 together"),
-        ({"hidden": ()}, "at least one width"),
-        ({"n_episodes": 4}, "must exceed the 4 warm-up episodes"),
-        ({"counts.colour": 1}, "there is no option 'colour' in CountConfig"),
-        ({"colour": 1}, "there is no option 'colour' in TrainConfig"),
-    ):
-        with pytest.raises(UserError, match=words):
-            tiny(**changes)
-    with pytest.raises(UserError, match="does not fit this version"):
-        from_dict({**to_dict(tiny()), "colour": 1})
-
-
-def numbers(config, prefix=""):
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from numbers(value, f"{field.name}.")
-        elif "int" in str(field.type).replace("tuple[int, ...]", "") or "float" in str(field.type):
-            yield prefix + field.name
-
-
-def test_every_number_has_a_range():
-    for name in numbers(TrainConfig()):
-        for value in (-1, float("nan")):
-            with pytest.raises(UserError, match=f"{name.rpartition('.')[2]} is {value}"):
-                changed(TrainConfig(), {name: value})
-
-
-def test_the_identity_is_the_difference_from_the_defaults():
-    assert preset("fetch_wall").identity() == {"env": "fetch_wall", "method": "ours"}
-    changes = {"counts.goal_cell": 0.5, "hidden": (8, 8)}
-    assert preset("fetch_wall", seed=3, changes=changes).identity() == {
-        "env": "fetch_wall", "method": "ours", "counts.goal_cell": 0.5, "hidden": [8, 8],
-    }  # fmt: skip
-    fixed = [tiny(**{"policy.entropy_weight": weight}).digest() for weight in (1, 1.0, 2)]
-    assert fixed[0] == fixed[1] != fixed[2]
-    assert tiny(seed=1).digest() == tiny(seed=2).digest() != tiny(**{"policy.discount": 0.9}).digest()
-    assert from_dict(to_dict(tiny())) == tiny()
-    for method, asks in (("ours", True), ("offpolicy_ddl", False), ("sparse", False)):
-        finer = preset("fetch_wall", method, changes={"counts.goal_cell": 0.5})
-        assert (finer.identity() != preset("fetch_wall", method).identity()) is asks, "eq. 4b alone asks for N(s, a, g)"
 
 
 def test_the_loop_is_algorithm_1(tmp_path, monkeypatch):
