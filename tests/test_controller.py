@@ -1,136 +1,11 @@
-"""The receding-horizon loop, seen by a search, an engine and a smoother that record what they are handed."""
+"""What the receding-horizon loop asks for, by a search and an engine that record what they are handed."""
 
-from types import SimpleNamespace
-
-import mujoco
 import numpy as np
 import pytest
-from explosive import Explosive
+from recording import OBSERVATION, RNG, STATE, TRIED, calls, names, plan, recorded
 
-from mpc.controller import Controller, Plan, Smoothed
-from mpc.cost import Cost
-from mpc.knots import SplineConfig
-from mpc.rollout import Followed, RolloutEngine, Trajectories
-from napsp.envs.dynamics import get_state
+from mpc.controller import Smoothed
 from napsp.errors import UserError
-from planners.smooth import Held, HeldConfig
-
-STATE = np.array([0.0, 5.0])
-GOAL = np.array([0.0])
-OBSERVATION = {"observation": np.array([5.0]), "achieved_goal": np.array([5.0]), "desired_goal": GOAL}
-RNG = np.random.default_rng(0)
-
-
-def search(kind, n_knots, n_controls, **settings):
-    """The one place that knows how a search is built."""
-    return kind(n_knots, n_controls, HeldConfig(**settings))
-
-
-def controller_of(engine, planner, cost, horizon, n_knots=None, interpolation="linear", **settings):
-    """The one place that knows how a controller is built."""
-    return Controller(engine, planner, cost, horizon, RNG, SplineConfig(n_knots, interpolation), **settings)
-
-
-class Line:
-    """An engine whose world is a line: an action is added to the position. State: the clock and the position."""
-
-    def __init__(self, log):
-        self.log = log
-        self.dynamics = SimpleNamespace(model=None)
-        self.diverged = False
-
-    def reset(self):
-        self.log.append(("engine.reset",))
-
-    def rollout(self, state, actions, known=()):
-        self.log.append(("rollout", state, actions, known))
-        positions = state[1] + np.cumsum(actions, 1, np.float64)
-        return Trajectories(positions, positions, np.broadcast_to(self.diverged, len(actions)))
-
-    def follow(self, state, observation, actor, horizon):
-        self.log.append(("follow", state, observation, actor, horizon))
-        actions = np.array(actor(horizon), np.float32).reshape(horizon, -1)
-        return Followed(actions, actions, np.arange(horizon))
-
-
-class Recorder:
-    """A search that tries what the test says, round after round, and executes what it says."""
-
-    effective_samples = 2.5
-
-    def __init__(self, log, tried, plan):
-        self.log, self.tried, self.plan = log, [np.array(one, float) for one in tried], np.array(plan, float)
-        self.rounds = 0
-
-    def reset(self):
-        self.log.append(("reset",))
-
-    def sample(self, rng, proposals=None):
-        self.log.append(("sample", rng, proposals))
-        self.rounds += 1
-        return self.tried[(self.rounds - 1) % len(self.tried)]
-
-    def update(self, knots, costs):
-        self.log.append(("update", knots, costs))
-        self.effective_samples = float(self.rounds)
-
-    def adopt(self, knots):
-        self.log.append(("adopt", knots))
-
-    def shift(self, shift):
-        self.log.append(("shift", shift))
-
-
-class Smoother:
-    """Hands back what the test says."""
-
-    def __init__(self, log, *answers):
-        self.log, self.answers = log, list(answers)
-
-    def reset(self):
-        self.log.append(("smoother.reset",))
-
-    def __call__(self, state, observation, actions, executed):
-        self.log.append(("smooth", state, observation, actions, executed))
-        return self.answers.pop(0)
-
-
-def reached(achieved, goals):
-    assert achieved.shape == goals.shape
-    return np.abs(achieved - goals)[..., 0] < 0.5
-
-
-def far(observations, achieved, actions, goal):
-    """Metres to the goal; an action of one's own counts a hundred times."""
-    steps = np.abs(achieved - goal)[:, 0]
-    return steps if actions is None else steps + 100.0 * actions[:, 0]
-
-
-# Two plans of three steps, and the plan to execute.
-TRIED = [[[[-1.0], [-0.5], [-0.5]], [[0.0], [0.25], [0.0]]]]
-PLAN = [[0.1], [0.2], [0.3]]
-
-
-def recorded(tried=TRIED, plan=PLAN, horizon=3, action_of="policy", answers=None, **settings):
-    """A controller and the log of all it does."""
-    log = []
-    if answers is not None:
-        settings["smoother"] = Smoother(log, *answers)
-    cost = Cost(far, reached, "terminal", action_of)
-    return controller_of(Line(log), Recorder(log, tried, plan), cost, horizon, **settings), log
-
-
-def names(log):
-    return [entry[0] for entry in log]
-
-
-def calls(log, name):
-    return [entry[1:] for entry in log if entry[0] == name]
-
-
-def plan(controller, state=STATE, **changes):
-    return controller.plan_from(state, {**OBSERVATION, **changes})
-
 
 # -- the loop --
 
@@ -201,6 +76,22 @@ def test_a_refused_goal_leaves_the_plan_where_it_is():
         plan(controller)
         assert ("shift" in names(log)) != first
         log.clear()
+
+
+def test_a_call_that_failed_was_no_step():
+    controller, log = recorded()
+    plan(controller)
+    whole = controller.engine.rollout
+
+    def out_of_memory(*arguments):
+        raise MemoryError
+
+    controller.engine.rollout = out_of_memory
+    with pytest.raises(MemoryError):
+        plan(controller)
+    controller.engine.rollout = whole
+    plan(controller)
+    assert names(log).count("shift") == 1
 
 
 # -- what is tried and what it costs --
@@ -302,188 +193,3 @@ def test_proposals_that_are_not_finite_are_left_out_and_warned_of_once_per_contr
     controller, log = recorded()
     plan(controller)
     assert calls(log, "sample")[-1][1] is None
-
-
-# -- what comes out --
-
-
-def test_a_plan_is_what_the_search_executes_after_its_last_round():
-    tried = [TRIED[0], [[[-1.0], [-1.0], [-1.0]], [[-1.0], [-1.0], [-0.5]]]]
-    controller, log = recorded(tried, n_refinements=2)
-    planned = plan(controller)
-    np.testing.assert_array_equal(planned.actions, np.float32(PLAN))
-    np.testing.assert_array_equal(planned.action, np.float32([0.1]))
-    assert planned.actions.dtype == np.float32
-    assert planned.costs is calls(log, "update")[-1][1]
-    np.testing.assert_allclose(planned.trajectories.observations[:, -1, 0], [2.0, 2.5])  # the second round's
-    assert planned.effective_samples == 2.0, "after both rounds"
-    assert planned.smoothing_ms >= 0.0
-
-
-def test_a_held_plan_is_executed_action_by_action():
-    planner = search(Held, 4, 1)
-    planner.adopt(np.array([[0.1], [0.2], [0.3], [0.4]]))
-    controller = controller_of(Line([]), planner, Cost(far, reached, "terminal"), 4)
-    executed = [float(plan(controller).action[0]) for _ in range(6)]
-    np.testing.assert_allclose(executed, [0.1, 0.2, 0.3, 0.4, 0.4, 0.4], rtol=1e-6)
-
-
-def test_times_are_those_of_the_whole_call_and_of_smoothing(monkeypatch):
-    clock = SimpleNamespace(now=100.0)
-    monkeypatch.setattr("mpc.controller.time.perf_counter", lambda: clock.now)
-
-    def lasting(seconds, function):
-        def call(*given):
-            clock.now += seconds
-            return function(*given)
-
-        return call
-
-    controller, _ = recorded(n_refinements=2, answers=[Smoothed(np.zeros((3, 1), np.float32), 1.0, True)])
-    controller.engine.rollout = lasting(2.0, controller.engine.rollout)
-    controller.smoother = lasting(3.0, controller.smoother)
-    planned = plan(controller)
-    assert (planned.milliseconds, planned.smoothing_ms) == (7000.0, 3000.0)
-
-
-def test_the_cheapest_samples_are_in_order_without_those_that_diverged():
-    planned = Plan(np.zeros(1), np.zeros((1, 1)), None, np.array([3.0, np.inf, 1.0, np.nan, 2.0]), 1.0, 0.0)
-    assert planned.cheapest(2).tolist() == [2, 4] and planned.cheapest(9).tolist() == [2, 4, 0]
-    assert planned.smoothing_ms == 0.0
-
-
-@pytest.mark.parametrize("diverged", [True, False])
-def test_a_lost_search_is_warned_of_once_with_its_reason(diverged):
-    controller, _ = recorded()
-    controller.engine.diverged = diverged
-    controller.cost = Cost(lambda *rows: np.full(len(rows[0]), np.nan), reached, "terminal")
-    reason = "every sampled plan diverged" if diverged else "the cost of every sampled plan is not finite"
-    with pytest.warns(RuntimeWarning, match=f"^{reason}; keeping the previous plan$") as caught:
-        for _ in range(2):
-            planned = plan(controller)
-    assert len(caught) == 1 and np.isinf(planned.costs).all()
-    np.testing.assert_array_equal(planned.actions, np.float32(PLAN))
-
-
-def test_a_search_lost_for_several_reasons_has_not_diverged_as_a_whole():
-    controller, _ = recorded()
-    controller.engine.diverged = [True, False]
-    controller.cost = Cost(lambda *rows: np.full(len(rows[0]), np.nan), reached, "terminal")
-    with pytest.warns(RuntimeWarning, match="^the cost of every sampled plan is not finite"):
-        plan(controller)
-
-
-def test_some_samples_without_a_cost_are_nothing_to_warn_of():
-    controller, _ = recorded()
-    controller.cost = Cost(lambda *rows: np.array([np.nan, 4.0]), reached, "terminal")
-    np.testing.assert_array_equal(plan(controller).costs, [np.inf, 7.0])
-
-
-# -- smoothing --
-
-SMOOTH = np.array([[0.0], [0.9], [0.0]], np.float32)
-
-
-def test_a_smoother_is_handed_the_plan_of_the_search_and_its_answer_is_executed():
-    controller, log = recorded(answers=[Smoothed(SMOOTH, 2.0, True)])
-    planned = plan(controller)
-    assert names(log) == ["sample", "rollout", "update", "smooth", "adopt"]
-    state, observation, actions, executed = calls(log, "smooth")[0]
-    assert state is STATE and observation["observation"] is OBSERVATION["observation"]
-    np.testing.assert_array_equal(actions, np.float32(PLAN))
-    assert executed.shape == (0, 1) and executed.dtype == np.float32
-    np.testing.assert_array_equal(planned.actions, SMOOTH)
-    np.testing.assert_array_equal(planned.action, SMOOTH[0])
-
-
-@pytest.mark.parametrize(("cost", "accepted"), [(2.0, True), (0.0, True), (None, True), (2.0, False), (None, False)])
-def test_only_an_accepted_plan_that_was_rolled_out_is_adopted(cost, accepted):
-    controller, log = recorded(
-        [[[[0.0], [1.0]]]], [[0.0], [1.0]], n_knots=2, answers=[Smoothed(SMOOTH, cost, accepted)]
-    )
-    planned = plan(controller)
-    adopted = calls(log, "adopt")
-    assert len(adopted) == (accepted and cost is not None)
-    for (knots,) in adopted:
-        np.testing.assert_allclose(knots, [[0.3], [0.3]], atol=1e-7)  # the nearest that two knots can say
-    np.testing.assert_array_equal(planned.actions, SMOOTH)
-
-
-def test_a_smoother_sees_the_last_two_actions_the_latest_last():
-    rows = np.array([[0.1, 0.2, 0.3, 0.4], [0.5, 0.5, 0.5, 0.5], [0.6, 0.6, 0.6, 0.6]], np.float32)
-    answers = [Smoothed(row[:, None].copy(), 1.0, accepted) for row, accepted in zip(rows.T, (1, 0, 1, 1), strict=True)]
-    controller, log = recorded(answers=list(answers))
-    for answer in answers:
-        plan(controller)
-        answer.actions[:] = 9.0  # whoever owns the plan may write into it
-    seen = [executed[:, 0] for _, _, _, executed in calls(log, "smooth")]
-    for found, expected in zip(seen, ([], [0.1], [0.1, 0.2], [0.2, 0.3]), strict=True):
-        np.testing.assert_array_equal(found, np.float32(expected))
-
-
-# -- an environment --
-
-
-def slide():
-    """An environment with a body that one motor pushes along a line, and an exact engine for it."""
-    dynamics = Explosive(open_loop=True)
-    dynamics.model.actuator_gear[:] = 1e-2
-    env = SimpleNamespace(model=dynamics.model, data=mujoco.MjData(dynamics.model))
-    env.data.qpos[:], env.data.qvel[:] = 0.3, -0.2
-    return dynamics, env
-
-
-def states_of(dynamics, env, actions):
-    """Positions by stepping a copy of the environment."""
-    data, found = mujoco.MjData(env.model), []
-    data.qpos[:], data.qvel[:] = env.data.qpos, env.data.qvel
-    for action in actions:
-        data.ctrl[:] = action
-        mujoco.mj_step(env.model, data, dynamics.substeps)
-        found.append(float(data.qpos[0]))
-    return found
-
-
-def test_planning_starts_at_the_state_of_the_environment():
-    _, env = slide()
-    controller, log = recorded()
-    controller.engine.dynamics.model = env.model
-    controller.plan(env, OBSERVATION)
-    np.testing.assert_array_equal(calls(log, "rollout")[0][0], get_state(env.model, env.data))
-    other = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><body><joint/><joint axis='1 0 0'/><geom size='1'/></body></worldbody></mujoco>"
-    )
-    controller.engine.dynamics.model = other
-    with pytest.raises(ValueError, match="does not fit the model that is planned in"):
-        controller.plan(env, OBSERVATION)
-
-
-@pytest.mark.parametrize(("action_of", "simulated"), [("policy", 4), ("plan", 3)])
-def test_the_cost_of_a_plan_is_that_of_stepping_the_environment(action_of, simulated):
-    dynamics, env = slide()
-    actions = np.array([[0.5], [-0.3], [0.2], [0.1]], np.float32)
-    observation = {**OBSERVATION, "observation": np.array([0.3, -0.2]), "achieved_goal": np.array([0.3, -0.2])}
-    observation["desired_goal"] = np.array([50.0, 0.0])
-    with RolloutEngine(dynamics, n_threads=1) as engine:
-        controller = controller_of(engine, search(Held, 4, 1), Cost(far, reached, "terminal", action_of), 4)
-        found = controller.cost_of(env, observation, actions)
-    end = states_of(dynamics, env, actions[:simulated])[-1]
-    to_go = 50.0 - end + (100.0 * float(actions[-1, 0]) if action_of == "plan" else 0.0)
-    assert type(found) is float and found == pytest.approx(simulated + to_go, abs=1e-6)
-    assert np.diff(states_of(dynamics, env, actions)).min() > 1e-3, "every step moves it"
-
-
-def test_a_call_that_failed_was_no_step():
-    controller, log = recorded()
-    plan(controller)
-    whole = controller.engine.rollout
-
-    def out_of_memory(*arguments):
-        raise MemoryError
-
-    controller.engine.rollout = out_of_memory
-    with pytest.raises(MemoryError):
-        plan(controller)
-    controller.engine.rollout = whole
-    plan(controller)
-    assert names(log).count("shift") == 1

@@ -1,20 +1,12 @@
-"""J of a plan on trajectories written by hand, and the receding-horizon loop around it."""
+"""J of a plan, on trajectories written by hand."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
-from mpc.controller import Controller
-from mpc.cost import Cost, EuclideanSteps, GivenSteps, LearnedSteps, NoSteps
-from mpc.rollout import RolloutEngine, Trajectories
-from napsp.distance.counts import UncertaintyConfig
-from napsp.envs.dynamics import get_state
-from napsp.policy.actors import GaussianPolicy
-from napsp.policy.greedy import GreedyPolicy
-from planners.mppi import MPPI, MPPIConfig
+from mpc.cost import Cost
+from mpc.rollout import Trajectories
 
 GOAL = np.array([0.0])
 
@@ -88,12 +80,6 @@ def test_diverged_and_nan_cost_infinity():
     paths = trajectories([0, 0, 0], [np.nan, np.nan, np.nan], [4, 3, 2], diverged=[True, False, False])
     costs = cost(START, paths, ACTIONS, GOAL)
     assert np.isinf(costs[:2]).all() and np.isfinite(costs[2])
-
-
-def test_euclidean_is_in_steps_and_sparse_is_zero():
-    rows = np.array([[3.0, 4.0], [0.0, 0.0]])
-    np.testing.assert_allclose(EuclideanSteps(0.5)(rows, rows, None, np.zeros(2)), [10.0, 0.0])
-    np.testing.assert_allclose(NoSteps()(rows, rows, None, np.zeros(2)), 0.0)
 
 
 # d at s_0 is 5 and its own action adds 100 a; a_t = t / 100 makes 0, 1, 2 of it.
@@ -237,225 +223,6 @@ def test_only_a_number_is_a_cost():
     np.testing.assert_array_equal(costs, [np.inf, np.inf, np.inf, np.inf, np.inf, 1 + 1 / 2])
     costs = cost(START, Trajectories(rows, achieved, np.ones(6, bool)), np.zeros((6, 2, 1)), GOAL)
     np.testing.assert_array_equal(costs, np.inf)
-
-
-def model(factor=1.0, distance=True, visits=None):
-    """d = factor * |s + 10 a - g|, pi = g - s, and as many visits as are given."""
-
-    def steps(states, actions, goals):
-        assert states.dtype == actions.dtype == goals.dtype == torch.float32
-        assert len(states) == len(actions) == len(goals)
-        return factor * (states + 10 * actions - goals).abs()[:, 0]
-
-    return SimpleNamespace(
-        distance=SimpleNamespace(steps=steps) if distance else None,
-        policy=SimpleNamespace(mode=lambda states, goals: goals - states),
-        visits=visits,
-        config=SimpleNamespace(uncertainty=UncertaintyConfig(8.0, 0.5)),
-    )
-
-
-def test_the_learned_distance_is_asked_at_the_plans_action_or_at_the_policys():
-    rows, goal = np.array([[1.0], [4.0]]), np.array([3.0])
-    found = LearnedSteps(model())(rows, rows, np.array([[0.5], [0.0]]), goal)
-    np.testing.assert_allclose(found, [3.0, 1.0])
-    assert found.dtype == np.float64
-    np.testing.assert_allclose(LearnedSteps(model())(rows, rows, None, goal), [18.0, 9.0])  # nine times the way
-    np.testing.assert_allclose(LearnedSteps(model())(rows[::-1], rows, None, goal), [9.0, 18.0])
-    wide, target = np.array([[1.0, 0.0], [4.0, 0.0], [3.0, 0.0]]), np.array([3.0, 7.0])
-    np.testing.assert_allclose(LearnedSteps(model())(wide, wide, None, target), [18.0, 9.0, 0.0])
-
-
-def test_of_several_distances_the_largest_counts_at_the_first_models_action():
-    rows, goal = np.array([[1.0], [4.0]]), np.array([3.0])
-    other = model(2.0)
-    other.policy = None
-    third = model()
-    third.distance.steps = lambda states, actions, goals: torch.tensor([99.0, 0.0])
-    np.testing.assert_allclose(LearnedSteps(model(), ensemble=[other])(rows, rows, None, goal), [36.0, 18.0])
-    np.testing.assert_allclose(LearnedSteps(model(), ensemble=[other, third])(rows, rows, None, goal), [99.0, 18.0])
-
-
-def test_pessimism_charges_for_what_was_seldom_visited():
-    asked = []
-
-    def visits(states, actions):
-        asked.append((states, actions))
-        return np.array([0, 3])
-
-    rows, goal = np.array([[1.0], [4.0]]), np.array([3.0])
-    found = LearnedSteps(model(visits=visits), 0.5)(rows, rows, None, goal)
-    np.testing.assert_allclose(found, [18.0 + 0.5 * 8.0, 9.0 + 0.5 * 4.0])  # U = 8 / (1 + N)^0.5
-    np.testing.assert_array_equal(asked[0][0], rows)
-    np.testing.assert_array_equal(asked[0][1], [[2.0], [-1.0]])
-    np.testing.assert_allclose(LearnedSteps(model(visits=visits))(rows, rows, None, goal), [18.0, 9.0])
-    assert len(asked) == 1, "no pessimism asks for no counts"
-
-
-def test_models_without_what_is_asked_of_them_are_refused():
-    for first, others in (
-        (model(distance=False), []),
-        (model(), [model(distance=False)]),
-        (model(distance=False), [model()]),
-    ):
-        with pytest.raises(ValueError, match="a model holds no distance"):
-            LearnedSteps(first, ensemble=others)
-    with pytest.raises(ValueError, match="no visit counts"):
-        LearnedSteps(model(), pessimism=0.1)
-
-
-def test_given_steps_are_asked_about_achieved_goals_and_answer_in_any_number_type():
-    rows, goal = np.array([[1.0], [4.0]]), np.array([3.0])
-    found = GivenSteps(lambda achieved, target: np.abs(achieved - target)[:, 0].astype(int))(-rows, rows, None, goal)
-    np.testing.assert_array_equal(found, [2.0, 1.0])
-    assert found.dtype == np.float64
-    np.testing.assert_array_equal(GivenSteps(lambda achieved, target: [1, 2])(rows, rows, None, goal), [1.0, 2.0])
-    np.testing.assert_array_equal(
-        GivenSteps(lambda achieved, target: achieved[:, 0])(rows, rows, None, goal), rows[:, 0]
-    )
-    np.testing.assert_allclose(EuclideanSteps(0.5)(-rows, rows, None, goal), [4.0, 2.0])
-
-
-def controller(world, seed=0, n_threads=2, where="terminal", horizon=6, action_of="policy", n_samples=24):
-    cost = Cost(EuclideanSteps(world.step_length), world.reached, where, action_of)
-    planner = MPPI(horizon, world.action_space.shape[0], MPPIConfig(samples=n_samples))
-    return Controller(RolloutEngine(world.dynamics, n_threads), planner, cost, horizon, np.random.default_rng(seed))
-
-
-def test_planning_reaches_a_near_goal_and_leaves_the_world_alone(worlds):
-    world = worlds["fetch_reach"]
-    observation, _ = world.reset(seed=2)
-    control = controller(world)
-    success = False
-    for _ in range(15):
-        before = get_state(world.model, world.data)
-        plan = control.plan(world, observation)
-        np.testing.assert_array_equal(before, get_state(world.model, world.data))
-        observation, _, _, _, info = world.step(plan.action)
-        success |= info["is_success"]
-    assert success
-    control.engine.close()
-
-
-def test_plans_are_identical_for_any_number_of_threads(worlds):
-    world = worlds["fetch_wall"]
-    plans = []
-    for n_threads in (1, 2):
-        observation, _ = world.reset(seed=0)
-        control = controller(world, n_threads=n_threads)
-        plans.append([control.plan(world, observation).actions for _ in range(3)])
-        control.engine.close()
-    np.testing.assert_array_equal(*plans)
-
-
-def test_a_goal_that_is_not_finite_is_refused(worlds):
-    world = worlds["point_maze"]
-    observation, _ = world.reset(seed=0)
-    observation["desired_goal"] = np.array([np.nan, 0.0])
-    with pytest.raises(ValueError, match="not finite"):
-        controller(world).plan(world, observation)
-
-
-def test_all_diverged_keeps_the_plan_and_warns_once(worlds):
-    world = worlds["point_maze"]
-    observation, _ = world.reset(seed=0)
-    control = controller(world)
-    control.cost = Cost(lambda *rows: np.full(len(rows[0]), np.nan), world.reached, "terminal")
-    with pytest.warns(RuntimeWarning, match="the cost of every sampled plan is not finite; keeping the prev") as caught:
-        for _ in range(3):
-            plan = control.plan(world, observation)
-    assert len(caught) == 1
-    np.testing.assert_array_equal(plan.actions, 0.0)
-    control, rollout = controller(world), control.engine.rollout
-    control.engine.rollout = lambda *given: replace(rollout(*given), diverged=np.ones(len(given[1]), bool))
-    with pytest.warns(RuntimeWarning, match="every sampled plan diverged; keeping the previous plan"):
-        plan = control.plan(world, observation)
-    np.testing.assert_array_equal(plan.actions, 0.0)
-
-
-def test_policy_proposals_join_the_samples(worlds):
-    world = worlds["point_maze"]
-    observation, _ = world.reset(seed=0)
-    control = controller(world)
-    control._proposals_from = [lambda observations, goals: np.full((1, 2), 0.25, np.float32)]
-    seen = []
-    sample = control.planner.sample
-    control.planner.sample = lambda rng, proposals: seen.append(proposals) or sample(rng, proposals)
-    control.plan(world, observation)
-    np.testing.assert_allclose(seen[0], np.full((1, 6, 2), 0.25), atol=1e-6)
-
-
-def test_following_an_actor_equals_stepping_it(worlds):
-    for name in ("fetch_wall", "point_maze"):
-        world = worlds[name]
-        observation, _ = world.reset(seed=1)
-        goal = observation["desired_goal"]
-
-        def actor(observations, goals):
-            size = world.action_space.shape[0]  # noqa: B023
-            return np.tanh(observations[:, :size] * 3 - goals[:, :1]).astype(np.float32)
-
-        with RolloutEngine(world.dynamics, 1) as engine:
-            planned = engine.follow(get_state(world.model, world.data), observation, actor, 8)
-        for action in planned.actions:
-            rows = observation["observation"].astype(np.float32)[None], goal.astype(np.float32)[None]
-            np.testing.assert_array_equal(action, actor(*rows)[0])
-            observation = world.step(action)[0]
-
-
-def test_a_followed_rollout_is_reused_only_for_its_own_actions(worlds):
-    for name in ("fetch_wall", "point_maze"):
-        world = worlds[name]
-        observation, _ = world.reset(seed=2)
-        size, state = world.action_space.shape[0], get_state(world.model, world.data)
-        with RolloutEngine(world.dynamics, 2) as engine:
-            constant = np.full((1, size), 0.4, np.float32)
-            followed = engine.follow(state, observation, lambda o, g: constant, 5)  # noqa: B023
-            actions = np.random.default_rng(0).uniform(-1, 1, (4, 5, size)).astype(np.float32)
-            actions[2] = followed.actions
-            simulated = engine.rollout(state, actions)
-            reused = engine.rollout(state, actions, [followed])
-            np.testing.assert_array_equal(simulated.observations, reused.observations)
-            np.testing.assert_array_equal(simulated.achieved_goals, reused.achieved_goals)
-            assert not reused.diverged.any()
-            marked = replace(followed, features=followed.features + 1.0, times=np.zeros(5))
-            reused = engine.rollout(state, actions, [marked])
-        changed = (simulated.achieved_goals != reused.achieved_goals).any((1, 2))
-        np.testing.assert_array_equal(changed, [False, False, True, False])
-        np.testing.assert_array_equal(reused.diverged, [False, False, True, False])
-
-
-def test_greedy_policy_equals_torch_and_follows_training():
-    torch.manual_seed(0)
-    policy = GaussianPolicy((10, 4, 3), (64, 64))
-    greedy = GreedyPolicy(policy)
-    with torch.no_grad():
-        policy.net[0].weight.mul_(2.0)
-    states, goals = torch.randn(20, 10), torch.randn(20, 3)
-    np.testing.assert_allclose(
-        greedy(states.numpy(), goals.numpy()), policy.mode(states, goals).detach().numpy(), atol=1e-6
-    )
-
-
-def test_shortest_steps_of_the_maze_are_those_of_a_hand_drawn_way(worlds):
-    world = worlds["point_maze"]
-    goal = np.array([0.5, 0.5])
-    same_room = np.array([[0.5, 0.5], [0.3, 0.45], [0.8, 0.2]])
-    steps = np.abs(same_room - goal).max(1) / 0.1  # both axes at once
-    np.testing.assert_allclose(world.shortest_steps(same_room, goal), steps, atol=0.35)
-    # Up through the left door (its corner at x = -0.6, y = 0.08 once inflated), then through the
-    # upper one (x = 0.08, y = 0.68): each stretch costs its longer side.
-    corners = np.array([[-0.3, -0.3], [-0.68, -0.08], [-0.68, 0.08], [-0.08, 0.68], [0.08, 0.68], [0.5, 0.5]])
-    expected = np.abs(np.diff(corners, axis=0)).max(1).sum() / 0.1
-    assert float(world.shortest_steps(corners[:1], goal)[0]) == pytest.approx(expected, abs=0.6)
-    # Symmetric, and shrinking by at most one per full-speed step.
-    there, back = world.shortest_steps(corners[:1], goal), world.shortest_steps(goal[None], corners[0])
-    assert float(there[0]) == pytest.approx(float(back[0]), abs=0.35)
-
-
-def test_given_steps_name_a_wrong_shape():
-    with pytest.raises(ValueError, match="it must return"):
-        GivenSteps(lambda achieved, goal: np.zeros(3))(np.zeros((5, 2)), np.zeros((5, 2)), None, np.zeros(2))
 
 
 @pytest.mark.parametrize("words", [{"where": "XXmean"}, {"action_of": "nobody"}])
