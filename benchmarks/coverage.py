@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.cells import RESULTS, append_result, as_text, find, read_results, trained
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.config import METHODS, preset
+from napsp.config import PAPER_METHODS, preset
 from napsp.errors import UserError, run_command
 from napsp.storage.files import read_tensors
 from napsp.storage.progress import read_rows
@@ -78,7 +78,7 @@ def main() -> int:
     panels: dict[str, np.ndarray] = {}
     captions: dict[str, str] = {}
     for seed in options.seeds:
-        for method in METHODS:
+        for method in PAPER_METHODS:
             config = preset(env_name, method=method, seed=seed)
             folder = trained(config)
             positions = visited(folder)

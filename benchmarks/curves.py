@@ -1,6 +1,6 @@
 """Figures 3 and 5 from published runs: ``python -m benchmarks.curves``.
 
-Figure 3: success and maximum reward over training episodes, all tasks, four methods. Figure 5:
+Figure 3: success and maximum reward over training episodes, all tasks, the paper's four methods and plus. Figure 5:
 maximum reward, merging and relaxation rates on pick and place. Lines are interquartile means
 over seeds, bands their 95 % bootstrap intervals. A third picture has success on two harder
 tasks. Nothing is trained: ``benchmarks.sweep`` does that; cells without a run are said to be
@@ -38,7 +38,8 @@ SUPERSEDED = ("counts.reached_bits", "policy.min_entropy_weight")
 """Of these, ways of older versions: such a line is shown until the same one without them is run."""
 TABLES_ONLY = ("episodes_per_iteration",)
 """Lines that figures leave out."""
-COLORS: dict[str, str] = dict(zip(METHODS, ("tab:gray", "tab:orange", "tab:blue", "tab:red"), strict=True))
+PALETTE = ("gray", "orange", "blue", "red", "purple")
+COLORS: dict[str, str] = {method: f"tab:{c}" for method, c in zip(METHODS, PALETTE, strict=True)}
 STYLES = ("-", "--", ":", "-.")
 TITLES = {
     "success_rate": "success (last step)",
@@ -54,7 +55,7 @@ class Line:
     """Runs that ask the same but for seed and number of episodes.
 
     Attributes:
-        method: of the four.
+        method: its name.
         recipe: whose values it has.
         named: options that differ from them, in the order of :data:`NAMED`.
     """
@@ -100,7 +101,7 @@ def line_of(identity: Mapping[str, Any]) -> Line | None:
 
 
 def expected_lines(env: str) -> list[Line]:
-    """What a task's comparison is made of: the four methods, by its own recipe if it has one."""
+    """What a task's comparison is made of: all methods, by its own recipe if it has one."""
     return [Line(method, usual_recipe(env)) for method in METHODS]
 
 

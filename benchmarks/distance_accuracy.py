@@ -1,131 +1,186 @@
-"""How true is the learned distance? ``python -m benchmarks.distance_accuracy --env point_maze``.
+"""How true is a distance? ``python -m benchmarks.distance_accuracy --env point_maze``.
 
-Compares d(s, a, g) of ddl, offpolicy_ddl and ours with exact shortest-path steps over the real
-dynamics of the maze, with the straight line beside them. States are at rest anywhere in the
-house, actions uniform, goals anywhere: a strict test, off the data that a policy collects.
-Runs that do not exist yet are trained first (minutes each).
+In mazes against exact search over the real dynamics, in other tasks against the best known steps
+(``benchmarks.best_known``, an upper bound). Rows land in ``results/distance_accuracy.csv``.
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from scipy.stats import pearsonr, spearmanr
 
-from benchmarks.cells import RESULTS, append_result, as_text, checkpoint_of, find, read_results
+from benchmarks.best_known import known_probe
+from benchmarks.cells import RESULTS, as_text, replace_results, usual_recipe
 from benchmarks.command import read_options
-from benchmarks.maze_truth import MazeSearch
+from benchmarks.maze_probe import Probe, maze_probe
+from benchmarks.subjects import Subject
 from napsp import envs as tasks
 from napsp.config import preset
 from napsp.errors import UserError, run_command
-from napsp.storage.checkpoint import load_model
+from napsp.storage.checkpoint import Model, load_model
+from napsp.storage.files import write_json
 from napsp.storage.revision import git_revision
 
-METHODS = ("ddl", "offpolicy_ddl", "ours")
-SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "task_spearman")
+SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "triangle_rate", "triangle_rate_step", "distance_at_goal",
+         "best_action_rate")  # fmt: skip
+BINS = (0, 5, 10, 20, 40, np.inf)
+STRAIGHT = "straight line"
+KEY = ("env", "method", "training", "seed", "n_starts", "n_goals")
+
+Steps = Callable[[np.ndarray, np.ndarray | None, np.ndarray], np.ndarray]
+"""Estimated steps ``(n,)`` for observations, actions (None: the policy's) and goals."""
 
 
 @dataclass(frozen=True)
 class AccuracyOptions:
-    """Compare learned distances with exact ones."""
+    """Compare distances with the truth. Without further options the one that ships for the task is measured."""
 
     env: str = "point_maze"
-    """point_maze or point_maze_long."""
-    seeds: tuple[int, ...] = (0,)
-    """Training seeds."""
-    n_states: int = 24
-    """Start states; each costs one search."""
-    n_goals: int = 200
-    """Goals per state."""
+    """Task."""
+    checkpoint: Path | None = None
+    """A file or folder written by napsp.train, or the name of a model that ships."""
+    methods: tuple[str, ...] = ()
+    """Measure trained cells of these methods instead; missing ones are trained first."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Their training seeds."""
+    n_starts: int = 26
+    """Starts in each room of a maze; each costs four searches."""
+    n_goals: int = 8
+    """Goals in each room for every start."""
+    json: Path | None = None
+    """File for the figures; of several models, their medians."""
 
 
-@dataclass(frozen=True)
-class Probe:
-    """Triples with their true distance: ``(n,)`` rows of s, a, g, steps, and whether task-like."""
-
-    states: np.ndarray
-    actions: np.ndarray
-    goals: np.ndarray
-    steps: np.ndarray
-    on_task: np.ndarray
-
-
-def make_probe(env_name: str, n_states: int, n_goals: int, seed: int = 0) -> Probe:
-    """Draw states, actions and goals in free space and search for the exact steps."""
-    world: Any = tasks.make(env_name).unwrapped
-    rng, search = np.random.default_rng(seed), MazeSearch(world)
-
-    def free_points(n: int) -> np.ndarray:
-        points = rng.uniform(-0.9, 0.9, (4 * n, 2))
-        return points[(np.abs(points) > 0.1).all(1)][:n] * world.scale
-
-    parts = []
-    for position in free_points(n_states):
-        state = np.concatenate([position, np.zeros(2)])
-        action, goals = rng.uniform(-1.0, 1.0, 2), free_points(n_goals)
-        following = search.step(state[None], action[None])[0]
-        steps = 1.0 + search.steps_to(following, goals)
-        on_task = (position < 0).all() & (goals > 0).all(1)  # from the start room to the goal room
-        parts.append((np.tile(state, (n_goals, 1)), np.tile(action, (n_goals, 1)), goals, steps, on_task))
-    search.close()
-    return Probe(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def agreement(probe: Probe, estimate: np.ndarray) -> dict[str, float]:
-    """Rank and linear correlation, coefficient of variation and mean of estimate / truth."""
+def figures_of(probe: Probe, steps: Steps, rng: np.random.Generator) -> dict[str, float]:
+    """All figures of one distance."""
     use = np.isfinite(probe.steps)
-    truth, estimate, on_task = probe.steps[use], estimate[use], probe.on_task[use]
+    truth = probe.steps[use]
+    estimate = steps(probe.observations, probe.actions, probe.goals)[use]
+    found = agreement(truth, estimate)
+    for name, kind in probe.kinds.items():
+        part = agreement(truth[kind[use]], estimate[kind[use]])
+        found |= {f"{figure}, {name}": part[figure] for figure in ("spearman", "mean_ratio", "ratio_cv")}
+    for low, high in itertools.pairwise(BINS):
+        inside = (truth > low) & (truth <= high)
+        if inside.any():
+            found[f"mean error, {low} to {high} steps"] = float((estimate - truth)[inside].mean())
+    return found | triangles(probe, steps, rng) | best_actions(probe.alternatives[use], truth, estimate)
+
+
+def agreement(truth: np.ndarray, estimate: np.ndarray) -> dict[str, float]:
+    """Rank and linear correlation, mean and coefficient of variation of estimate / truth."""
     ratio = estimate / truth
     return {
         "spearman": float(spearmanr(truth, estimate).statistic),
         "pearson": float(pearsonr(truth, estimate).statistic),
         "ratio_cv": float(ratio.std() / ratio.mean()),
         "mean_ratio": float(ratio.mean()),
-        "task_spearman": float(spearmanr(truth[on_task], estimate[on_task]).statistic),
-        "n": float(use.sum()),
     }
 
 
-def main() -> int:
-    """Train what is missing, compare, print, append to results/distance_accuracy.csv."""
-    options = read_options(AccuracyOptions, "distance_accuracy", n_goals=2)
-    env_name = tasks.canonical_name(options.env)
-    if not env_name.startswith("point_maze"):
-        raise UserError(f"exact shortest paths exist for point_maze and point_maze_long only, not for {env_name}")
-    torch.set_num_threads(1)
-    path = RESULTS / "distance_accuracy.csv"
-    configs = [preset(env_name, method=method, seed=seed) for method in METHODS for seed in options.seeds]
-    models = {(c.method, c.seed): (load_model(checkpoint_of(c), env_name), c) for c in configs}
-    probe = make_probe(env_name, options.n_states, options.n_goals)
-    print(
-        f"{env_name}: {int(np.isfinite(probe.steps).sum())} triples, mean true distance {probe.steps.mean():.1f} steps"
-    )
-    print("method          seed  " + "  ".join(name.rjust(13) for name in SHOWN))
-    straight = np.linalg.norm(probe.states[:, :2] - probe.goals, axis=1) / tasks.make(env_name).unwrapped.step_length
-    figures = agreement(probe, straight)
-    _show("euclidean", "-", figures)
-    sizes = {"n_states": options.n_states, "n_goals": options.n_goals}
-    key = {"env": env_name, "method": "euclidean", "seed": "", "training": "", **sizes}
-    if find(read_results(path), key) is None:
-        append_result(path, {**key, "revision": git_revision(), **figures})
-    for (method, seed), (model, config) in models.items():
-        rows = [torch.from_numpy(x.astype(np.float32)) for x in (probe.states, probe.actions, probe.goals)]
+def triangles(probe: Probe, steps: Steps, rng: np.random.Generator, n: int = 20_000) -> dict[str, float]:
+    """Shares of d(x, z) > d(x, y) + d(y, z) between random places, by anything and by a step; d at the goal."""
+    x, y, z = (rng.integers(len(probe.places), size=n) for _ in range(3))
+    action = rng.uniform(-1.0, 1.0, (n, probe.actions.shape[1])).astype(np.float32)
+    whole, first = (steps(probe.places[x], action, probe.achieved[end]) for end in (z, y))
+    excess = whole - first - steps(probe.places[y], None, probe.achieved[z])
+    there = steps(probe.places, None, probe.achieved)
+    return {"triangle_rate": float((excess > 1e-4).mean()), "triangle_rate_step": float((excess > 1.0).mean()),
+            "distance_at_goal": float(there.mean())}  # fmt: skip
+
+
+def best_actions(alternatives: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> dict[str, float]:
+    """How often the action of least d among some is one of the truly best, where they differ; and by chance."""
+    order = np.argsort(alternatives, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(alternatives[order])) + 1)
+    groups = [group for group in groups if np.ptp(truth[group]) > 0]
+    if not groups:
+        return {"best_action_rate": np.nan, "best_action_rate_by_chance": np.nan}
+    best = [truth[group] == truth[group].min() for group in groups]
+    hits = [among[np.argmin(estimate[group])] for among, group in zip(best, groups, strict=True)]
+    return {
+        "best_action_rate": float(np.mean(hits)),
+        "best_action_rate_by_chance": float(np.mean([b.mean() for b in best])),
+    }
+
+
+def learned_steps(model: Model) -> Steps:
+    """The d of a model."""
+
+    def steps(observations: np.ndarray, actions: np.ndarray | None, goals: np.ndarray) -> np.ndarray:
         assert model.distance is not None
         with torch.inference_mode():
-            figures = agreement(probe, model.distance.steps(*rows).numpy().astype(np.float64))
-        _show(method, seed, figures)
-        key = {"env": env_name, "method": method, "seed": seed, "training": as_text(config.identity()), **sizes}
-        if find(read_results(path), key) is None:
-            append_result(path, {**key, "revision": model.header["revision"], **figures})
+            rows = [torch.from_numpy(np.asarray(part, np.float32)) for part in (observations, goals)]
+            chosen = model.policy.mode(*rows) if actions is None else torch.from_numpy(actions.astype(np.float32))
+            return model.distance.steps(rows[0], chosen, rows[1]).numpy().astype(np.float64)
+
+    return steps
+
+
+def straight_steps(env_name: str, probe: Probe) -> Steps:
+    """Straight line between the achieved goal and the goal, at the task's speed; blind to the action."""
+    length = tasks.make(env_name).unwrapped.step_length
+    rows = {observation.tobytes(): goal for observation, goal in zip(probe.places, probe.achieved, strict=True)}
+    size = probe.achieved.shape[1]
+
+    def steps(observations: np.ndarray, actions: np.ndarray | None, goals: np.ndarray) -> np.ndarray:
+        here = np.stack([rows.get(row.tobytes(), row[:size]) for row in observations])
+        return np.linalg.norm(here - goals, axis=1) / length
+
+    return steps
+
+
+def subjects(options: AccuracyOptions, env_name: str) -> Iterator[Subject]:
+    """Whom to measure."""
+    if not options.methods:
+        checkpoint = options.checkpoint or Path(tasks.file_name(env_name))
+        yield Subject.existing(env_name, checkpoint)
+    for method in options.methods:
+        for seed in options.seeds:
+            yield Subject.of(preset(env_name, method, usual_recipe(env_name), seed=seed))
+
+
+def main() -> int:
+    """Measure, print, keep."""
+    options = read_options(AccuracyOptions, "distance_accuracy")
+    if options.methods and options.checkpoint:
+        raise UserError("--checkpoint and --methods exclude each other; give one of them")
+    env_name = tasks.canonical_name(options.env)
+    torch.set_num_threads(1)
+    chosen = [(subject, load_model(subject.checkpoint(), env_name)) for subject in subjects(options, env_name)]
+    for subject, model in chosen:
+        if model.distance is None:
+            raise UserError(f"{subject.source} holds no distance (it was trained with --method sparse)")
+    in_maze = env_name.startswith("point_maze")
+    probe = maze_probe(env_name, options.n_starts, options.n_goals) if in_maze else known_probe(env_name)
+    print(f"{env_name}: {np.isfinite(probe.steps).sum()} pairs, {np.nanmean(probe.steps):.1f} steps in the mean")
+    print("method          seed  " + "  ".join(name.rjust(18) for name in SHOWN))
+    sizes = {"n_starts": options.n_starts if in_maze else "", "n_goals": options.n_goals if in_maze else ""}
+    rows = []
+    if in_maze:
+        straight = figures_of(probe, straight_steps(env_name, probe), np.random.default_rng(0))
+        rows.append({"method": STRAIGHT, "seed": "", "training": "", "revision": git_revision(), **straight})
+    for subject, model in chosen:
+        found = figures_of(probe, learned_steps(model), np.random.default_rng(0))
+        rows.append({"method": subject.training["method"], "seed": subject.seed, "training": as_text(subject.training),
+                     "revision": git_revision(), "trained_at": model.header["revision"], **found})  # fmt: skip
+    for row in rows:
+        print(f"{row['method']:14s}  {row['seed']!s:>4s}  " + "  ".join(f"{row[name]:18.3f}" for name in SHOWN))
+    replace_results(RESULTS / "distance_accuracy.csv", KEY, [{"env": env_name, **sizes, **row} for row in rows])
+    if options.json is not None:
+        learned: list[dict[str, Any]] = rows[-len(chosen) :]
+        names = [name for name, value in learned[0].items() if isinstance(value, float)]
+        medians = {name: float(np.median([row[name] for row in learned])) for name in names}
+        write_json(options.json, {"env": env_name, "models": len(chosen), **medians, "rows": learned})
     return 0
-
-
-def _show(method: str, seed: object, figures: dict[str, float]) -> None:
-    print(f"{method:14s}  {seed!s:>4s}  " + "  ".join(f"{figures[name]:13.3f}" for name in SHOWN), flush=True)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from benchmarks.cells import RESULTS, trained
 from benchmarks.command import read_options
 from mpc.cost import LearnedSteps
 from napsp import envs as tasks
-from napsp.config import METHODS, preset
+from napsp.config import PAPER_METHODS, preset
 from napsp.errors import UserError, run_command
 from napsp.policy.critic import Critic
 from napsp.storage.checkpoint import load_model
@@ -76,8 +76,8 @@ def main() -> int:
     from matplotlib import pyplot as plt
 
     scale = tasks.make(env_name).unwrapped.scale
-    figure, axes = plt.subplots(2, len(METHODS), figsize=(3 * len(METHODS), 6), layout="constrained")
-    for column, method in enumerate(METHODS):
+    figure, axes = plt.subplots(2, len(PAPER_METHODS), figsize=(3 * len(PAPER_METHODS), 6), layout="constrained")
+    for column, method in enumerate(PAPER_METHODS):
         folder = trained(preset(env_name, method=method, seed=options.seed))
         found = maps(folder, env_name, scale, options.bins)
         for axis, name in zip(axes[:, column], ("value", "d [steps]"), strict=True):

@@ -15,7 +15,8 @@ import tyro
 from napsp.data.collect import ExplorationConfig
 from napsp.data.outcomes import EvaluationConfig
 from napsp.distance.counts import CountConfig, UncertaintyConfig
-from napsp.distance.labels import TemporalConfig, TriangularConfig
+from napsp.distance.graph import GraphConfig
+from napsp.distance.labels import BootstrapConfig, TemporalConfig, TriangularConfig
 from napsp.distance.losses import LOSSES
 from napsp.distance.network import DistanceConfig
 from napsp.envs import canonical_name, episode_length
@@ -26,7 +27,8 @@ from napsp.policy.agents import AGENTS
 from napsp.policy.her import HERConfig
 from napsp.settings import MANY, changed, check_choice, check_ranges, digest, flat, to_dict
 
-METHODS = ("sparse", "ddl", "offpolicy_ddl", "ours")
+PAPER_METHODS = ("sparse", "ddl", "offpolicy_ddl", "ours")
+METHODS = (*PAPER_METHODS, "plus")
 PAPER = "paper"
 
 
@@ -44,7 +46,8 @@ class TrainConfig:
     fetch_pick_place_wall or claw; a Gymnasium id such as FetchPush-v4, or your own module:Class."""
     method: str = "ours"
     """sparse: binary reward. ddl: on-policy temporal regression. offpolicy_ddl: eq. 4a.
-    ours: eq. 4a and 4b (the paper)."""
+    ours: eq. 4a and 4b (the paper). plus: beyond the paper, one pair of networks is distance and critic, with shortest
+    paths over the replay as labels where they are known."""
     recipe: str = PAPER
     """paper: the method as it stands there. manipulation: what pick and place is learned with beyond the paper, see
     docs/paper.md; the options that it changes can still be set one by one."""
@@ -78,6 +81,8 @@ class TrainConfig:
     uncertainty: UncertaintyConfig = field(default_factory=UncertaintyConfig)
     counts: CountConfig = field(default_factory=CountConfig)
     triangular: TriangularConfig = field(default_factory=TriangularConfig)
+    bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
+    graph: GraphConfig = field(default_factory=GraphConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     her: HERConfig = field(default_factory=HERConfig)
     explore: ExplorationConfig = field(default_factory=ExplorationConfig)
@@ -153,6 +158,27 @@ def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in different.items() if name not in idle} | task
 
 
+PLUS: dict[str, Any] = {
+    "hidden": (256, 256, 256),
+    "episodes_per_iteration": 4,
+    "n_temporal_updates": 0,
+    "n_triangular_updates": 0,
+    "n_policy_updates": 100,
+    "distance.n_members": 2,
+    "distance.unit": "step",
+    "distance.loss": "relative",
+    "distance.target_polyak": 0.005,
+    "distance.slow": True,
+    "policy.agent": "ddpg",
+    "policy.polyak": 0.005,
+    "policy.action_penalty": 0.02,
+    "her.relabel_ratio": 0.4,
+    "her.other_goals_ratio": 0.5,
+    "explore.explorers": 0.5,
+}
+"""What method plus differs in from the defaults, on every task."""
+
+
 def preset(
     env: str,
     method: str = "ours",
@@ -173,6 +199,8 @@ def preset(
     values |= chosen.changes
     if method != "sparse":
         values |= chosen.with_distance
+    if method == "plus":
+        values |= PLUS | (dict(CARDS[env].plus) if env in CARDS else {})
     values |= {"env": env, "method": method, "recipe": recipe, **(changes or {}), **overrides}
     return changed(DEFAULT, values)
 
@@ -190,5 +218,6 @@ def from_dict(values: Mapping[str, Any]) -> TrainConfig:
 
 
 __all__ = [
-    "DEFAULT", "METHODS", "PAPER", "TrainConfig", "from_dict", "identity_of", "preset", "recipes", "to_dict",
+    "DEFAULT", "METHODS", "PAPER", "PAPER_METHODS", "TrainConfig", "from_dict", "identity_of", "preset", "recipes",
+    "to_dict",
 ]  # fmt: skip

@@ -16,8 +16,10 @@ from torch import Tensor
 from napsp.config import TrainConfig
 from napsp.data.buffer import EpisodeBuffer, sample_pairs, sample_triples
 from napsp.data.episodes import Episodes, SparseReward, concatenate
+from napsp.distance.graph import ReplayGraph
 from napsp.distance.labels import hypotenuse, temporal_label
 from napsp.policy.agent import Agent, PolicyBatch
+from napsp.policy.descent import DescentBatch
 from napsp.policy.her import sample_relabelled
 from napsp.scaling import Scaling
 
@@ -86,6 +88,7 @@ class Learner:
         rng: draws all samples.
         generator: draws the agent's noise.
         scaled_at: episodes in D when the input scaling was estimated.
+        graph: shortest paths over D, for method plus; None where cells of achieved goals do not tell states apart.
     """
 
     config: TrainConfig
@@ -97,6 +100,7 @@ class Learner:
     rng: np.random.Generator
     generator: torch.Generator
     scaled_at: int = 0
+    graph: ReplayGraph | None = None
 
     # Within a phase of Algorithm 1 everything that labels depend on is frozen (d_old and the counts for d, d for
     # the policy), so a phase draws all its samples and computes their labels at once.
@@ -176,6 +180,28 @@ class Learner:
         raw = (drawn.observations, drawn.actions, drawn.next_observations, drawn.goals)
         transitions = PolicyBatch(*map(torch.from_numpy, raw), rewards)
         return {**metrics, **self.agent.train(transitions, config.batch_size, self.generator)}
+
+    def search_graph(self, iteration: int) -> Metrics:
+        """Now and then, search all shortest paths over D anew; beyond the paper."""
+        graph = self.graph
+        if graph is None:
+            return {}
+        if iteration % self.config.graph.every == 0:
+            graph.build(self.buffer.episodes(), self.config.seed)
+        return {"n_cells": float(graph.n_cells), "connected": graph.connected}
+
+    def train_jointly(self) -> Metrics:
+        """Distance and policy in one; beyond the paper. What is known of each transition goes into its label."""
+        config = self.config
+        n_sampled = config.n_policy_updates * config.batch_size
+        drawn = sample_relabelled(self.buffer.episodes(), n_sampled, config.her, self.sparse_reward, self.rng)
+        known = np.full(n_sampled, np.nan, np.float32)
+        if self.graph is not None:
+            known = 1.0 + self.graph.steps(drawn.next_achieved, drawn.goals)
+        observed = drawn.steps_between if config.bootstrap.bound else np.full_like(drawn.steps_between, np.inf)
+        raw = (drawn.observations, drawn.actions, drawn.next_observations, drawn.goals)
+        batch = DescentBatch(*map(torch.from_numpy, (*raw, drawn.rewards == 0, observed, known)))
+        return self.agent.train(batch, config.batch_size, self.generator) | {"known": float(np.isfinite(known).mean())}
 
     def extend_buffer(self, recent: Episodes) -> None:
         """Algorithm 1, line 22: D <- D + D_last.

@@ -9,11 +9,13 @@ from napsp.config import TrainConfig
 from napsp.data.buffer import EpisodeBuffer
 from napsp.data.episodes import Episodes, SparseReward
 from napsp.distance.counts import CountModel
+from napsp.distance.graph import ReplayGraph, control
 from napsp.distance.learned import LearnedDistance
 from napsp.execution import Execution
 from napsp.learner import Learner, scaling_of
 from napsp.policy.agent import Agent
 from napsp.policy.agents import AGENTS
+from napsp.policy.descent import Descent
 
 
 def build_learner(
@@ -43,7 +45,12 @@ def build_learner(
     execution = execution or Execution()
     length, size = config.episode_length, config.batch_size
     distance = LearnedDistance(sizes, config.hidden, length, size, config.distance, execution)
-    agent: Agent = AGENTS[config.policy.agent](sizes, config.hidden, config.policy, config.lost_step, execution)
+    agent: Agent
+    if config.method == "plus":
+        loss = config.distance.loss
+        agent = Descent(sizes, config.hidden, config.policy, config.bootstrap, distance, loss, execution)
+    else:
+        agent = AGENTS[config.policy.agent](sizes, config.hidden, config.policy, config.lost_step, execution)
     scaling, buffer = scaling_of(warmup), EpisodeBuffer()
     for network in (*distance.networks().values(), *agent.networks().values()):
         network.scaling.set(scaling)  # type: ignore[operator, union-attr]
@@ -51,4 +58,7 @@ def build_learner(
     counts = CountModel(sizes, config.counts, scaling, rng, used_actions, counts_goals=config.method == "ours")
     buffer.extend(warmup)
     counts.update(warmup)
-    return Learner(config, distance, counts, agent, buffer, sparse_reward, rng, generator, len(warmup))
+    graph = None
+    if config.method == "plus" and config.graph.every and control(warmup) >= config.graph.control:
+        graph = ReplayGraph(config.graph)
+    return Learner(config, distance, counts, agent, buffer, sparse_reward, rng, generator, len(warmup), graph)

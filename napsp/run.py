@@ -14,8 +14,9 @@ import torch
 
 from napsp import envs as tasks
 from napsp.config import TrainConfig
-from napsp.data.collect import ExplorationConfig, ExploringActor, roll
+from napsp.data.collect import Actor, ExplorationConfig, ExploringActor, roll
 from napsp.data.episodes import Episodes, concatenate
+from napsp.data.explorers import Explorers
 from napsp.data.outcomes import evaluate
 from napsp.envs.actions import used_actions
 from napsp.errors import UserError
@@ -26,7 +27,14 @@ from napsp.policy.greedy import GreedyPolicy
 from napsp.storage.checkpoint import MODEL_FILE, save_model, sizes_of
 from napsp.storage.progress import Progress, Row, read_rows
 from napsp.storage.record import RECORD_FILE, write_record
-from napsp.storage.resume import STATE_FILE, read_training, restore_training, save_training, warmup_episodes
+from napsp.storage.resume import (
+    STATE_FILE,
+    explorers_of,
+    read_training,
+    restore_training,
+    save_training,
+    warmup_episodes,
+)
 from napsp.storage.revision import git_revision
 
 EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
@@ -47,6 +55,7 @@ class Run:
     seconds_before: float
     started: float
     revisions: list[str]
+    explorers: Explorers | None = None
     interrupted: bool = False
     _previous_handler: Any = signal.SIG_DFL
     _previous_precision: str = "highest"
@@ -72,6 +81,11 @@ class Run:
             seconds = saved[1]["seconds"]
             revisions = list(dict.fromkeys([*saved[1]["revisions"], *revisions]))
             print(f"continuing {folder} at episode {len(learner.buffer)}")
+        explorers = None
+        if config.explore.explorers and learner.graph is not None:
+            explorers = Explorers.of(config)
+            if saved:
+                explorers.restore(explorers_of(saved[0], len(explorers.worlds)))
         folder.mkdir(parents=True, exist_ok=True)
         progress = Progress(folder, rows, tensorboard)
         run = cls(
@@ -86,6 +100,7 @@ class Run:
             seconds,
             time.monotonic(),
             revisions,
+            explorers,
         )
         if iteration < run.n_iterations:
             (folder / RECORD_FILE).unlink(missing_ok=True)  # it belongs to a shorter run
@@ -103,11 +118,13 @@ class Run:
     def collect(self, policy: Any) -> Episodes:
         """Algorithm 1, line 3: roll the exploring policy once in every environment."""
         config, learner = self.config, self.learner
-        actor = ExploringActor(policy, self.sizes[1], config.explore, learner.rng, learner.generator)
+        actor: Actor = ExploringActor(policy, self.sizes[1], config.explore, learner.rng, learner.generator)
         seeds = [int(seed) for seed in learner.rng.integers(EVALUATION_SEED, size=len(self.envs))]
-        return roll(
-            self.envs, actor, seeds, config.episode_length, _starts(config.explore, len(self.envs), learner.rng)
-        )
+        starts = _starts(config.explore, len(self.envs), learner.rng)
+        envs = self.envs
+        if self.explorers is not None:
+            envs, actor = self.explorers.join(envs, actor, learner)
+        return roll(envs, actor, seeds, config.episode_length, starts)
 
     def finish_iteration(self, iteration: int, metrics: Row) -> bool:
         """Evaluate and save when due; return True to stop."""
@@ -146,7 +163,8 @@ class Run:
 
     def _save(self, iteration: int, seconds: float) -> None:
         learner = self.learner
-        save_training(self.folder / STATE_FILE, learner, iteration, seconds, self.revisions)
+        places = self.explorers.states() if self.explorers else []
+        save_training(self.folder / STATE_FILE, learner, iteration, seconds, self.revisions, places)
         distance, visits = None, None
         if self.config.learns_distance:
             distance, visits = learner.distance.trusted, learner.counts.visit_counts
@@ -164,7 +182,7 @@ class Run:
         signal.signal(signal.SIGINT, self._previous_handler)
         torch.set_float32_matmul_precision(self._previous_precision)
         self.progress.close()
-        for env in self.envs:
+        for env in [*self.envs, *(self.explorers.worlds if self.explorers else [])]:
             env.close()
         if self.interrupted:
             print(f"saved in {self.folder}; the same command continues it")

@@ -152,7 +152,7 @@ def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
         (["benchmarks.rollout_speed", "--samples", "0"], "--samples is 0"),
         (["benchmarks.coverage", "--env", "fetch_reach"], "point_maze and point_maze_long only"),
         (["benchmarks.coverage", "--bins", "0"], "--bins is 0; it must be at least 2"),
-        (["benchmarks.distance_accuracy", "--n-states", "0"], "--n-states is 0; it must be at least 1"),
+        (["benchmarks.distance_accuracy", "--n-starts", "0"], "--n-starts is 0; it must be at least 1"),
         (["benchmarks.policy_vs_mpc", "--seed", "-1"], "--seed is -1; it must be at least 0"),
         (["benchmarks.sweep", "--envs"], "--envs is empty; give at least one value"),
         (["planners.mppi", "--samples", "3"], "give at least 4"),

@@ -28,7 +28,7 @@ def test_every_head_learns_labels_and_the_losses_need_not_know_which(options):
     assert float(loss) < 0.1 * first and predictions.shape == (64,)
     torch.testing.assert_close(subject.steps(rows), subject.distance.fractions(rows).detach().clamp(0, 1) * 50)
     assert not torch.equal(subject.target_steps(rows), subject.steps(rows))
-    assert (subject.distance.plain() is None) == bool(options.keys() - {"output"})
+    assert (not subject.distance.plain()) == bool(options.keys() & {"head", "layer_norm"})
 
 
 def test_members_are_fitted_on_their_own():

@@ -86,6 +86,25 @@ def test_export_equals_torch_on_shipped_checkpoints(env, action_of):
     np.testing.assert_allclose(np.clip(value, 0.0, smooth.episode_length), steps, rtol=1e-3, atol=2e-3)
 
 
+@pytest.mark.parametrize("action_of", ["policy", "plan"])
+@pytest.mark.parametrize("output", ["softplus", "linear"])
+def test_export_of_several_networks_in_steps_is_their_mean(output, action_of):
+    model = random_model(output, n_members=3, unit="step")
+    smooth = SmoothDistance(model, action_of)
+    rows = random_inputs(random_model(), action_of, 30, np.random.default_rng(0))
+    function, inputs = torch_distance(model, action_of), torch.from_numpy(rows)
+    value, gradient, hessian = smooth.evaluate(rows)
+    assert relative_error(value, vmap(function)(inputs).numpy()) < 1e-10
+    assert relative_error(gradient, vmap(jacrev(function))(inputs).numpy()) < 1e-10
+    assert relative_error(hessian, vmap(jacrev(jacrev(function)))(inputs).numpy()) < 1e-10
+    np.testing.assert_allclose(smooth.values(rows), value, rtol=1e-12)
+    x = casadi.MX.sym("x", smooth.n_inputs)
+    exported = casadi.Function("all", [x], [smooth.function()(x), *casadi.hessian(smooth.function()(x), x)[::-1]])
+    for k, expected in enumerate((value, gradient, hessian)):
+        found = np.stack([np.array(exported(row)[k]) for row in rows]).reshape(expected.shape)
+        assert relative_error(found, expected) < 1e-10
+
+
 @pytest.mark.parametrize("output", ["softplus", "linear"])
 @pytest.mark.parametrize("action_of", ["policy", "plan"])
 def test_export_against_finite_differences(output, action_of):
@@ -111,7 +130,7 @@ def test_beyond_the_networks_input_limit_d_is_flat():
     np.testing.assert_array_equal(hessian, 0.0)
 
 
-@pytest.mark.parametrize("options", [{"head": "quasimetric"}, {"layer_norm": True}, {"n_members": 2}])
+@pytest.mark.parametrize("options", [{"head": "quasimetric"}, {"layer_norm": True, "n_members": 2}])
 def test_a_distance_of_another_kind_is_refused_in_words(options):
-    with pytest.raises(ValueError, match="more than one plain network"):
+    with pytest.raises(ValueError, match="more than plain networks"):
         SmoothDistance(random_model(**options), "policy")

@@ -25,15 +25,17 @@ class SmoothDistance:
     def __init__(self, model: Model, action_of: ActionOf) -> None:
         if model.distance is None:
             raise ValueError("the model holds no distance (it was trained with --method sparse)")
-        head = model.distance.plain()
-        if head is None:
+        heads = model.distance.plain()
+        if not heads:
             raise ValueError(
-                "the distance is more than one plain network (--distance.head mlp, no layer norm, one member), so the "
-                "smoothing layer cannot write out its derivatives"
+                "the distance is more than plain networks (--distance.head mlp, no layer norm), so the smoothing layer "
+                "cannot write out its derivatives"
             )
         self.action_of, self.episode_length = action_of, float(model.distance.episode_length)
-        self._softplus = head.output == "softplus"
-        self._distance, self._policy = Network(head.net, 1), Network(model.policy.net, model.policy.n_actions)
+        self._steps = model.distance.steps_per_output / len(heads)  # d is the members' mean
+        self._softplus = heads[0].output == "softplus"
+        self._members = [Network(head.net, 1) for head in heads]
+        self._policy = Network(model.policy.net, model.policy.n_actions)
         self._scaling, self._policy_scaling = InputMap(model.distance.scaling), InputMap(model.policy.scaling)
         self.n_observation, self.n_goal = self._scaling.n_observation, self._scaling.n_goal
         self.n_action = model.policy.n_actions
@@ -46,8 +48,9 @@ class SmoothDistance:
             scaled = np.concatenate(self._policy_scaling(NUMPY, s, g)[:2], axis=1)
             a = np.tanh(self._policy.forward(NUMPY, scaled, None)[0])
         s, g = self._scaling(NUMPY, s, g)[:2]
-        raw = self._distance.forward(NUMPY, np.concatenate([s, a, g], axis=1), None)[0]
-        return self._output(NUMPY, raw)[0][:, 0, 0]
+        inputs = np.concatenate([s, a, g], axis=1)
+        outputs = [self._output(NUMPY, member.forward(NUMPY, inputs, None)[0])[0] for member in self._members]
+        return np.sum(outputs, axis=0)[:, 0, 0]
 
     def evaluate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Value ``(B,)``, gradient ``(B, n)`` and Hessian ``(B, n, n)`` at rows x ``(B, n)``."""
@@ -68,17 +71,23 @@ class SmoothDistance:
         s, g, d_s, d_g = self._scaling(lib, s, g, d_s, d_g)
         if lib is NUMPY and self.action_of == "plan":
             d_a = np.broadcast_to(d_a, (*d_s.shape[:-2], *d_a.shape))
-        raw, slopes, tape = self._distance.forward(lib, lib.stack(s, a, g), lib.stack(d_s, d_a, d_g))
-        value, first, second = self._output(lib, raw)
-        multiplier, hessian = self._distance.curvature(lib, tape, first)
-        hessian = hessian + second * lib.product(lib.transpose(slopes), slopes)
+        inputs, moved = lib.stack(s, a, g), lib.stack(d_s, d_a, d_g)
+        parts = [self._member(lib, member, inputs, moved) for member in self._members]
+        value, gradient, multiplier, hessian = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
         if self.action_of == "policy":  # the curvature of a = tanh(outputs) and of the outputs, as far as d feels it
             of_action = lib.part(multiplier, self.n_observation, self.n_observation + self.n_action)
             slope = 1.0 - a * a
             bent = lib.rows(-2.0 * a * slope * of_action, policy_slopes)
             hessian = hessian + lib.product(lib.transpose(policy_slopes), bent)
             hessian = hessian + self._policy.curvature(lib, policy_tape, slope * of_action)[1]
-        return value, first * slopes, hessian
+        return value, gradient, hessian
+
+    def _member(self, lib: Library, member: Network, inputs: Any, moved: Any) -> tuple[Any, Any, Any, Any]:
+        """A member's share of value, gradient, slope with respect to scaled inputs, and Hessian."""
+        raw, slopes, tape = member.forward(lib, inputs, moved)
+        value, first, second = self._output(lib, raw)
+        multiplier, hessian = member.curvature(lib, tape, first)
+        return value, first * slopes, multiplier, hessian + second * lib.product(lib.transpose(slopes), slopes)
 
     def _split(self, lib: Library, x: Any) -> tuple[Any, Any, Any]:
         """Observation, action (nothing where the policy chooses it) and goal of x."""
@@ -87,7 +96,7 @@ class SmoothDistance:
 
     def _output(self, lib: Library, raw: Any) -> tuple[Any, Any, Any]:
         """Steps and their first two derivatives with respect to the network's last output."""
-        length = self.episode_length
+        length = self._steps
         if not self._softplus:
             return length * raw, length + 0.0 * raw, 0.0 * raw
         sigma = 0.5 * (1.0 + lib.tanh(0.5 * raw))

@@ -26,9 +26,15 @@ class ExplorationConfig:
     """A random action is held for 1 to this many steps, each number as likely; 1 is plain epsilon exploration."""
     held_starts: float = 0.0
     """Share of training episodes that begin with the box in the gripper (pick and place only)."""
+    explorers: float = 0.0
+    """Share of training episodes that go on where the last one ended: half of them walk at random, half seek goals
+    of rarely visited cells. Beyond the paper."""
+    patience: int = 100
+    """Explorers stop after this many episodes, warm-up included, until the data is dense enough for a graph: in a space
+    too wide for that they would go on for ever."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, epsilon=(0, 1), hold=(1, MANY), held_starts=(0, 1))
+        check_ranges(self, epsilon=(0, 1), hold=(1, MANY), held_starts=(0, 1), explorers=(0, 1), patience=(0, MANY))
 
     @property
     def start_chance(self) -> float:

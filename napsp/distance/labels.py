@@ -44,6 +44,42 @@ class TriangularConfig:
         check_choice(self, mean=("sampled", "passed"))
 
 
+@dataclass(frozen=True)
+class BootstrapConfig:
+    """Labels of method plus."""
+
+    pessimism: Literal["largest", "mean", "smallest"] = "largest"
+    """Which of the K slow distances of the next state goes into a label."""
+    bound: bool = True
+    """No label exceeds the steps after which the same episode was at the goal."""
+
+    def __post_init__(self) -> None:
+        check_choice(self, pessimism=("largest", "mean", "smallest"))
+
+    def reduce(self, members: Tensor) -> Tensor:
+        """One distance ``(B,)`` from those of K networks ``(K, B)``."""
+        return {"largest": members.amax, "mean": members.mean, "smallest": members.amin}[self.pessimism](0)
+
+
+def one_step_label(arrived: Tensor, next_steps: Tensor, observed: Tensor, known: Tensor, length: float) -> Tensor:
+    """Steps ``(B,)`` from a transition and what is known of the way on from its end; beyond the paper.
+
+        1                                    where s_t+1 is at the goal
+        min(known, observed)                 where shortest paths over the replay lead there
+        min(1 + d_old(s_t+1), observed)      elsewhere; within [1, T]
+
+    Args:
+        arrived: whether s_t+1 is at the goal, bool ``(B,)``.
+        next_steps: d_old(s_t+1, pi(s_t+1), g), ``(B,)``.
+        observed: steps after which the same episode was at the goal, else +inf, ``(B,)``.
+        known: 1 + steps of the graph, NaN where there is no path, ``(B,)``.
+        length: T.
+    """
+    steps = torch.where(known.isnan(), 1.0 + next_steps, known)
+    steps = torch.minimum(steps, observed)
+    return torch.where(arrived, torch.ones_like(steps), steps).clamp(1.0, length)
+
+
 def temporal_label(steps_between: Tensor, target_steps: Tensor, uncertainty: Tensor) -> Tensor:
     """min[j - i, d_old + U] in steps (eq. 4a); all ``(B,)``."""
     return torch.minimum(steps_between, target_steps + uncertainty)

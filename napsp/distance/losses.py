@@ -45,4 +45,19 @@ def squared(distance: DistanceNetwork, batch: Labelled) -> tuple[Tensor, Metrics
     return errors.square().sum() / batch.n_sampled, {"predictions": predictions.detach()}
 
 
-LOSSES: dict[str, Loss] = {"squared": squared}
+RELATIVE_FLOOR = 5.0  # steps
+
+
+def relative(distance: DistanceNetwork, batch: Labelled) -> tuple[Tensor, Metrics]:
+    """Squared errors weighed by 2 c / (label + c), c = 5 steps: near and far goals err by alike shares.
+
+    Metrics: ``predictions``, d in steps before the update ``(B,)``.
+    """
+    members = distance.members(batch.rows)
+    errors = members - batch.labels / distance.episode_length
+    weights = 2.0 * RELATIVE_FLOOR / (batch.labels + RELATIVE_FLOOR)
+    predictions = members.mean(0) * distance.episode_length
+    return (weights * errors.square()).sum() / batch.n_sampled, {"predictions": predictions.detach()}
+
+
+LOSSES: dict[str, Loss] = {"squared": squared, "relative": relative}

@@ -25,6 +25,9 @@ class DistanceConfig:
     """mlp, or quasimetric: distances that keep the triangle inequality by construction (beyond the paper)."""
     output: Literal["linear", "softplus"] = "linear"
     """Output layer of d / T of the mlp."""
+    unit: Literal["episode", "step"] = "episode"
+    """What an output of 1 means. Adam's steps are of one size whatever the outputs mean: in steps they are T times
+    finer, which a policy that descends d needs, for an action changes it by a step or two."""
     layer_norm: bool = False
     """Normalise each hidden layer."""
     n_members: int = 1
@@ -39,7 +42,7 @@ class DistanceConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, learning_rate=(TINY, 1), n_members=(1, 100), target_polyak=(TINY, 1))
-        check_choice(self, head=tuple(HEADS), output=("linear", "softplus"))
+        check_choice(self, head=tuple(HEADS), output=("linear", "softplus"), unit=("episode", "step"))
 
 
 class MLPHead(nn.Module):
@@ -95,6 +98,7 @@ class DistanceNetwork(nn.Module):
         self.scaling = InputScaling(sizes[0], sizes[2])
         self.heads = nn.ModuleList([HEADS[config.head](sizes, hidden, config) for _ in range(config.n_members)])
         self.episode_length = episode_length
+        self._per_output = 1.0 / episode_length if config.unit == "step" else 1.0
 
     def inputs(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
         """What the heads read: scaled and joined rows ``(B, O + A + G)``."""
@@ -103,11 +107,15 @@ class DistanceNetwork(nn.Module):
 
     def members(self, inputs: Tensor) -> Tensor:
         """D / T of every member ``(K, B)`` for rows of :meth:`inputs`: what is fitted."""
-        return torch.stack([head(inputs) for head in self.heads])
+        return torch.stack([head(inputs) for head in self.heads]) * self._per_output
+
+    def first(self, inputs: Tensor) -> Tensor:
+        """D / T of the first member ``(B,)``: what a policy descends."""
+        return self.heads[0](inputs) * self._per_output
 
     def fractions(self, inputs: Tensor) -> Tensor:
         """D / T ``(B,)`` for rows of :meth:`inputs`."""
-        return self.heads[0](inputs) if len(self.heads) == 1 else self.members(inputs).mean(0)
+        return self.first(inputs) if len(self.heads) == 1 else self.members(inputs).mean(0)
 
     def forward(self, observation: Tensor, action: Tensor, goal: Tensor) -> Tensor:
         """Raw prediction in steps ``(B,)`` for rows ``(B, O)``, ``(B, A)``, ``(B, G)``."""
@@ -122,9 +130,13 @@ class DistanceNetwork(nn.Module):
         for head in self.heads:
             yield from head.readers()
 
-    def plain(self) -> MLPHead | None:
-        """The one plain mlp that d consists of, for those who write it out; None if it is more than that."""
-        head = self.heads[0]
-        if len(self.heads) > 1 or not isinstance(head, MLPHead):
-            return None
-        return None if any(isinstance(layer, nn.LayerNorm) for layer in head.net) else head
+    def plain(self) -> list[MLPHead]:
+        """The plain mlps whose mean d is, for those who write it out; none if it is more than that."""
+        heads = [head for head in self.heads if isinstance(head, MLPHead)]
+        normed = any(isinstance(layer, nn.LayerNorm) for head in heads for layer in head.net)
+        return [] if normed or len(heads) < len(self.heads) else heads
+
+    @property
+    def steps_per_output(self) -> float:
+        """Steps that an output of 1 of a head means."""
+        return self.episode_length * self._per_output

@@ -51,6 +51,7 @@ class Card:
         aliases: further names.
         n_effector: how many numbers at the start of an observation say where the end effector is (claw: its joints).
         training: differences from the default training configuration, by dotted names.
+        plus: further ones for method plus.
         recipes: named sets of choices beyond the paper.
         planning: what it is planned with.
         suite: the paper's tasks, harder ones, or variants that no table shows.
@@ -63,6 +64,7 @@ class Card:
     aliases: tuple[str, ...] = ()
     n_effector: int = 3
     training: Mapping[str, Any] = field(default_factory=dict)
+    plus: Mapping[str, Any] = field(default_factory=dict)
     recipes: Mapping[str, Recipe] = field(default_factory=dict)
     planning: Planning = Planning()
     suite: Literal["paper", "harder", "variant"] = "paper"
@@ -94,6 +96,9 @@ PICK_TRAINING: dict[str, Any] = {
     "evaluate.n_episodes": 50,
 }
 """Pick and place: DDPG as in the paper, with amounts of work and exploration like HER's."""
+
+REACH_PLUS: dict[str, Any] = {"n_policy_updates": 150}
+PICK_PLUS: dict[str, Any] = {"n_episodes": 4000, "episodes_per_iteration": 8, "n_policy_updates": 50}
 
 MANIPULATION = Recipe(
     {
@@ -143,6 +148,7 @@ CARDS: dict[str, Card] = {
         "napsp/FetchReach-v0",
         REACH,
         50,
+        plus=REACH_PLUS,
         training={"n_episodes": 400, "evaluate.every": 20, "counts.visit_bits": 12, "policy.learning_rate": 3e-4},
         planning=REACH_PLANNING,
     ),
@@ -151,6 +157,7 @@ CARDS: dict[str, Card] = {
         REACH_WALL,
         50,
         aliases=("fetch_reach_wall",),
+        plus=REACH_PLUS,
         training={"n_episodes": 500},
         planning=REACH_PLANNING,
     ),
@@ -159,6 +166,7 @@ CARDS: dict[str, Card] = {
         REACH_WALL,
         50,
         {"wall_height": 0.4},
+        plus=REACH_PLUS,
         training={"n_episodes": 1000, "evaluate.every": 100},
         planning=REACH_PLANNING,
         suite="harder",
@@ -169,6 +177,7 @@ CARDS: dict[str, Card] = {
         50,
         aliases=("fetch_pick_and_place",),
         training=PICK_TRAINING,
+        plus=PICK_PLUS,
         recipes=RECIPES,
         planning=PICK_PLANNING,
     ),
@@ -178,6 +187,7 @@ CARDS: dict[str, Card] = {
         50,
         aliases=("fetch_pick_and_place_wall", "pick_place_wall"),
         training={**PICK_TRAINING, "counts.goal_cell": 0.1},  # goals spread over both sides; a radius is less of that
+        plus=PICK_PLUS,
         recipes=RECIPES,
         planning=PICK_PLANNING,
     ),
@@ -196,6 +206,7 @@ CARDS: dict[str, Card] = {
         50,
         {"augmented_goal": False},
         training={**PICK_TRAINING, "counts.goal_cell": 0.22},  # the box alone: random play hardly moves it
+        plus=PICK_PLUS,
         recipes=RECIPES,
         planning=PLAIN_PICK_PLANNING,
         suite="variant",
@@ -206,6 +217,7 @@ CARDS: dict[str, Card] = {
         50,
         {"augmented_goal": False},
         training=PICK_TRAINING,
+        plus=PICK_PLUS,
         recipes=RECIPES,
         planning=PLAIN_PICK_PLANNING,
         suite="variant",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -100,8 +100,11 @@ class Agent(Protocol):
         """What acts."""
         ...
 
-    def train(self, transitions: PolicyBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
-        """Update everything once per batch of raw transitions ``(n * batch_size, .)``; figures to log."""
+    def train(self, transitions: Any, batch_size: int, generator: torch.Generator) -> dict[str, float]:
+        """Update everything once per batch of raw transitions ``(n * batch_size, .)``; figures to log.
+
+        Transitions are a :class:`PolicyBatch`, or what else the agent learns from.
+        """
         ...
 
     def rescale(self, scaling: Scaling) -> None:

@@ -35,8 +35,11 @@ class Transitions:
     observations: np.ndarray
     actions: np.ndarray
     next_observations: np.ndarray
+    next_achieved: np.ndarray
     goals: np.ndarray
     rewards: np.ndarray
+    steps_between: np.ndarray
+    """Steps to the future state whose goal it is; +inf for goals that come from elsewhere."""
 
 
 def sample_relabelled(
@@ -61,6 +64,7 @@ def sample_relabelled(
     chance = rng.random(n)
     relabel = chance < config.relabel_ratio
     goals[relabel] = episodes.achieved_goals[episode[relabel], future[relabel]]
+    steps_between = np.where(relabel, future - t, np.inf).astype(np.float32)
     if config.other_goals_ratio:
         other = np.flatnonzero(chance > 1.0 - config.other_goals_ratio)
         wanted, achieved = other[::2], other[1::2]
@@ -68,10 +72,13 @@ def sample_relabelled(
         goals[achieved] = episodes.achieved_goals[
             rng.integers(len(episodes), size=len(achieved)), rng.integers(length + 1, size=len(achieved))
         ]
+    next_achieved = episodes.achieved_goals[episode, t + 1]
     return Transitions(
         observations=episodes.observations[episode, t],
         actions=episodes.actions[episode, t],
         next_observations=episodes.observations[episode, t + 1],
+        next_achieved=next_achieved,
         goals=goals,
-        rewards=sparse_reward(episodes.achieved_goals[episode, t + 1], goals),
+        rewards=sparse_reward(next_achieved, goals),
+        steps_between=steps_between,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,23 @@ from napsp.storage.files import FORMAT, read_tensors, write_tensors
 STATE_FILE = "training_state.safetensors"
 
 
-def save_training(path: Path, learner: Learner, iteration: int, seconds: float, revisions: list[str]) -> None:
-    """Write networks, optimisers, counts, D and random states after ``iteration`` iterations."""
+def save_training(
+    path: Path,
+    learner: Learner,
+    iteration: int,
+    seconds: float,
+    revisions: list[str],
+    explorers: Sequence[Mapping[str, np.ndarray]] = (),
+) -> None:
+    """Write networks, optimisers, counts, D, random states and where explorers are after ``iteration`` iterations."""
     tensors: dict[str, Tensor] = {"torch_generator": learner.generator.get_state(), **_agent_tensors(learner)}
     for name, optimizer in _optimizers(learner).items():
         for i, moments in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}.{i}.{key}": value for key, value in moments.items()}
     for name, array in _arrays(learner).items():
         tensors[name] = torch.from_numpy(np.ascontiguousarray(array))
+    for i, place in enumerate(explorers):
+        tensors |= {f"explorer.{i}.{name}": torch.from_numpy(np.array(values)) for name, values in place.items()}
     header = {
         "format": FORMAT,
         "kind": "training state",
@@ -34,6 +44,7 @@ def save_training(path: Path, learner: Learner, iteration: int, seconds: float, 
         "iteration": iteration,
         "seconds": seconds,
         "scaled_at": learner.scaled_at,
+        "graph_built_at": learner.graph.built_at if learner.graph else 0,
         "revisions": revisions,
         "rng": learner.rng.bit_generator.state,
     }
@@ -89,9 +100,17 @@ def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[
         for key in holder[1]:
             setattr(holder[0], key, tensors[f"{name}.{key}"].numpy())
     learner.counts.scaling, learner.scaled_at = learner.distance.distance.scaling.numbers(), header["scaled_at"]
+    if learner.graph is not None and header["graph_built_at"]:
+        learner.graph.build(learner.buffer.episodes()[: header["graph_built_at"]], learner.config.seed)
     learner.generator.set_state(tensors["torch_generator"])
     learner.rng.bit_generator.state = header["rng"]
     return int(header["iteration"])
+
+
+def explorers_of(tensors: dict[str, Tensor], n: int) -> list[dict[str, np.ndarray]]:
+    """Where each of ``n`` explorers was."""
+    prefixes = [f"explorer.{i}." for i in range(n)]
+    return [{k.removeprefix(p): v.numpy() for k, v in tensors.items() if k.startswith(p)} for p in prefixes]
 
 
 def _networks(learner: Learner) -> dict[str, torch.nn.Module]:

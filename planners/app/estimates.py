@@ -35,7 +35,7 @@ def load_models(config: PlanConfig[Any], checkpoint: Path | None) -> list[Model]
             f"--distance.pessimism needs visit counts and this checkpoint holds none; train one with: "
             f"python -m napsp.train --env {env_name}, then pass it with --checkpoint, or use --distance.ensemble"
         )
-    if config.smooth and model.distance.plain() is None:
+    if config.smooth and not model.distance.plain():
         raise UserError("--smooth needs a distance of one plain network (--distance.head mlp); plan without it")
     ensemble = [load_model(path, env_name) for path in config.distance.ensemble]
     for path, member in zip(config.distance.ensemble, ensemble, strict=True):

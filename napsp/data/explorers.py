@@ -1,0 +1,122 @@
+"""Episodes that go on where the last one ended, to see what a task's own starts never show. Beyond the paper."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from napsp import envs as tasks
+from napsp.config import TrainConfig
+from napsp.data.collect import Actor, ExplorationConfig, ExploringActor
+from napsp.envs.dynamics import get_state
+from napsp.learner import Learner
+
+ROLES = ("walk", "seek")
+"""walk: random actions, held for a while. seek: the policy, towards a goal of a random cell, then a random walk."""
+
+
+class Ongoing(gymnasium.Wrapper):
+    """An environment whose episodes begin where the last one ended, with a goal of our choice.
+
+    Only the first episode begins with a reset. Rewards are worked out anew from the goals that are stored, so the
+    environment itself need not know.
+    """
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        super().__init__(env)
+        self.last: dict[str, Any] | None = None
+        self.goal: np.ndarray | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Go on; the very first time, start an episode."""
+        last: Any = self.env.reset(seed=seed, options=options)[0] if self.last is None else self.last
+        self.last = last if self.goal is None else {**last, "desired_goal": self.goal}
+        return self.last, {}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Advance one control step."""
+        found = self.env.step(action)
+        self.last = found[0]
+        return found
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What :meth:`restore` needs to go on elsewhere; empty before the first episode."""
+        if self.last is None:
+            return {}
+        world: Any = self.env.unwrapped
+        return {"physics": get_state(world.model, world.data), **self.last}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on where another one was."""
+        if not state:
+            return
+        world: Any = self.env.unwrapped
+        self.env.reset(seed=0)
+        world.dynamics.bind(world.data).restore(state["physics"])
+        self.last = {name: value for name, value in state.items() if name != "physics"}
+
+
+class RoleActor:
+    """Lets some environments walk at random: ``walk`` all the time, ``seek`` from half of the episode on."""
+
+    def __init__(self, policy: Actor, walk: Actor, roles: list[str], length: int) -> None:
+        self._policy, self._walk, self._roles, self._length = policy, walk, np.array(roles), length
+        self._t = 0
+
+    def __call__(self, observations: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """Actions ``(E, A)``."""
+        seeking = (self._roles == "seek") & (self._t < self._length // 2)
+        walking = (self._roles == "walk") | ((self._roles == "seek") & ~seeking)
+        self._t += 1
+        actions, random = self._policy(observations, goals), self._walk(observations, goals)
+        return np.where(walking[:, None], random, actions)
+
+
+class Explorers:
+    """Takes the place of some of the environments of an iteration.
+
+    Args:
+        worlds: one environment a role.
+        share: of all episodes.
+        config: how random actions are drawn.
+        length: T.
+    """
+
+    def __init__(self, worlds: list[Ongoing], config: ExplorationConfig, length: int) -> None:
+        self.worlds, self._config, self._length = worlds, config, length
+
+    @classmethod
+    def of(cls, config: TrainConfig) -> Explorers:
+        """As a configuration describes them."""
+        return cls([Ongoing(tasks.make(config.env)) for _ in ROLES], config.explore, config.episode_length)
+
+    def states(self) -> list[dict[str, np.ndarray]]:
+        """Where each one is."""
+        return [world.state() for world in self.worlds]
+
+    def restore(self, states: list[dict[str, np.ndarray]]) -> None:
+        """Go on there."""
+        for world, state in zip(self.worlds, states, strict=True):
+            world.restore(state)
+
+    def join(self, envs: list[Any], actor: Actor, learner: Learner) -> tuple[list[Any], Actor]:
+        """Environments and actor of one iteration."""
+        n, n_warmup = len(envs), learner.config.n_warmup
+        done = (len(learner.buffer) - n_warmup) * self._config.explorers
+        first, last = int(done), int(done + n * self._config.explorers)
+        chosen = sorted({i % len(ROLES) for i in range(first, last)})
+        too_wide = not (learner.graph and learner.graph.n_cells) and len(learner.buffer) > self._config.patience
+        if not chosen or too_wide:
+            return envs, actor
+        rng, graph = learner.rng, learner.graph
+        episodes = learner.buffer.episodes()
+        for i in chosen:
+            self.worlds[i].goal = episodes.desired_goals[rng.integers(n_warmup)].astype(np.float64)
+            if ROLES[i] == "seek" and graph is not None and graph.n_cells:
+                self.worlds[i].goal = graph.draw(rng).astype(np.float64)
+        roles = ["policy"] * (n - len(chosen)) + [ROLES[i] for i in chosen]
+        walk = ExploringActor(None, envs[0].action_space.shape[0], self._config, rng, learner.generator)
+        joined = [*envs[: n - len(chosen)], *(self.worlds[i] for i in chosen)]
+        return joined, RoleActor(actor, walk, roles, self._length)

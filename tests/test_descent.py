@@ -1,0 +1,227 @@
+"""Method plus: labels, who is asked, who learns; explorers go on where they were."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from napsp import envs as tasks
+from napsp.config import preset
+from napsp.data.collect import roll
+from napsp.data.explorers import Explorers, Ongoing, RoleActor
+from napsp.distance.labels import BootstrapConfig, one_step_label
+from napsp.distance.learned import LearnedDistance
+from napsp.execution import Execution
+from napsp.policy.descent import Descent, DescentBatch, distance_loss, policy_loss
+from napsp.policy.her import HERConfig, sample_relabelled
+from napsp.run import new_learner
+from napsp.train import train
+from tests.test_learner import learner, reward, walk
+from tests.tiny import learned, tiny
+
+SIZES, LENGTH = (3, 2, 2), 50
+NAN, INF = float("nan"), float("inf")
+
+
+def test_a_label_is_the_least_of_what_is_known():
+    arrived = torch.tensor([True, False, False, False, False, False, False])
+    next_steps = torch.tensor([20.0, 20.0, 20.0, 20.0, 80.0, -3.0, 20.0])
+    observed = torch.tensor([INF, INF, 7.0, INF, INF, INF, 7.0])
+    known = torch.tensor([30.0, NAN, NAN, 12.0, NAN, NAN, 12.0])
+    found = one_step_label(arrived, next_steps, observed, known, LENGTH)
+    assert found.tolist() == [1, 21, 7, 12, 50, 1, 7]
+
+
+def test_pessimism_is_over_the_networks():
+    members = torch.tensor([[1.0, 8.0], [3.0, 4.0]])
+    expected = {"largest": [3, 8], "mean": [2, 6], "smallest": [1, 4]}
+    assert {name: BootstrapConfig(name).reduce(members).tolist() for name in expected} == expected
+
+
+def test_only_a_goal_of_the_same_episodes_future_has_observed_steps():
+    episodes = walk(6)
+    drawn = sample_relabelled(episodes, 4000, HERConfig(0.4, 0.5), reward, np.random.default_rng(0))
+    own = np.isfinite(drawn.steps_between)
+    assert 0.37 < own.mean() < 0.43
+    np.testing.assert_array_equal(drawn.steps_between[own], (drawn.goals - drawn.observations)[own, 0])
+    np.testing.assert_array_equal(drawn.next_achieved, drawn.next_observations)  # here phi(s) = s
+
+
+class KnowsSome:
+    """A graph that knows the way to goals of even episodes: 30 steps."""
+
+    def __init__(self):
+        self.built = []
+
+    def build(self, episodes, seed):
+        self.built.append((len(episodes), seed))
+        self.n_cells, self.connected = 5, 0.5
+
+    def steps(self, achieved, goals):
+        return np.where(goals[:, 0] // 1000 % 2 == 0, 30.0, np.nan).astype(np.float32) + 0 * achieved[:, 0]
+
+
+@pytest.mark.parametrize("bound", [True, False])
+def test_the_learner_hands_over_what_is_known_of_a_transition(bound):
+    subject = learner("plus", **{"n_policy_updates": 8, "bootstrap.bound": bound})
+    subject.graph, handed = KnowsSome(), []
+    subject.agent.train = lambda batch, size, generator: handed.append((batch, size)) or {"loss": 1.0}
+    metrics = subject.train_jointly()
+    ((batch, size),) = handed
+    assert size == 64 and len(batch.goals) == 8 * 64
+    torch.testing.assert_close(batch.arrived, (batch.next_observations - batch.goals)[:, 0].abs() <= 0.5)
+    assert batch.arrived.any() and not batch.arrived.all()
+    even = (batch.goals[:, 0] // 1000) % 2 == 0
+    torch.testing.assert_close(batch.known.isfinite(), even)
+    assert (batch.known[even] == 31).all(), "a step more than from the next state"
+    assert bool(batch.observed.isfinite().any()) is bound
+    assert metrics == {"loss": 1.0, "known": pytest.approx(float(even.float().mean()))}
+    assert not subject.distance.calls and not subject.counts.calls
+
+
+def test_the_graph_is_searched_now_and_then():
+    subject = learner("plus", **{"graph.every": 3, "seed": 7})
+    assert subject.search_graph(0) == {}, "no graph, nothing to search"
+    subject.graph = KnowsSome()
+    for iteration in range(7):
+        assert subject.search_graph(iteration) == {"n_cells": 5.0, "connected": 0.5}
+    assert subject.graph.built == [(6, 7)] * 3
+
+
+def descent(**changes):
+    torch.manual_seed(0)
+    config = preset("fetch_wall", "plus", changes={"hidden": (16, 16), **changes})
+    distance = LearnedDistance(SIZES, config.hidden, LENGTH, 8, config.distance, Execution())
+    return Descent(SIZES, config.hidden, config.policy, config.bootstrap, distance, config.distance.loss)
+
+
+def batch_of(n, seed=0, **changes):
+    generator = torch.Generator().manual_seed(seed)
+    rows = [torch.randn(n, size, generator=generator) for size in (3, 2, 3, 2)]
+    known = {"arrived": torch.zeros(n, dtype=torch.bool), "observed": torch.full((n,), INF)}
+    return DescentBatch(*rows, **{**known, "known": torch.full((n,), NAN), **changes})
+
+
+def test_labels_bootstrap_from_the_slow_networks_at_the_slow_policys_action():
+    agent, batch = descent(), batch_of(8)
+    with torch.no_grad():
+        for network in (agent.target_distance, agent.target_policy):
+            for parameter in network.parameters():
+                parameter.add_(0.3 * torch.randn(parameter.shape))
+        action = agent.target_policy.mode(batch.next_observations, batch.goals)
+        inputs = torch.cat([batch.next_observations, action, batch.goals], 1)
+        labels = (1 + LENGTH * agent.target_distance.members(inputs).amax(0)).clamp(1, LENGTH)
+        predicted = LENGTH * agent.distance.members(torch.cat([batch.observations, batch.actions, batch.goals], 1))
+        expected = (10 / (labels + 5) * ((predicted - labels) / LENGTH) ** 2).sum() / 8
+    loss, metrics = distance_loss(agent, batch)
+    torch.testing.assert_close(loss, expected)
+    torch.testing.assert_close(metrics["mean_label"], labels.mean())
+    loss.backward()
+    assert all(p.grad is None for p in [*agent.policy.parameters(), *agent.target_distance.parameters()])
+
+
+def test_the_policy_descends_the_first_distance():
+    agent, batch = descent(**{"policy.action_penalty": 0.5}), batch_of(8)
+    action = agent.policy.mode(batch.observations, batch.goals)
+    steps = agent.distance.members(torch.cat([batch.observations, action, batch.goals], 1))[0] * LENGTH
+    torch.testing.assert_close(policy_loss(agent, batch), steps.mean() + 0.5 * action.square().mean())
+
+
+def test_training_fits_what_is_known_and_the_policy_goes_downhill():
+    """d = 10 + 10 a_0 wherever one looks: it is learned, and the policy turns to a_0 = -1."""
+    agent, batch = descent(**{"policy.learning_rate": 3e-3}), batch_of(4096)
+    batch = batch._replace(actions=batch.actions.tanh())
+    batch = batch._replace(known=10.0 + 10.0 * batch.actions[:, 0])
+    before = {name: p.clone() for net in agent.networks().values() for name, p in net.named_parameters()}
+    for _ in range(12):
+        figures = agent.train(batch, 64, torch.Generator())
+    assert figures["mean_label"] == pytest.approx(float(batch.known.clamp(1, LENGTH).mean()), rel=1e-4)
+    steps = agent.distance.steps(batch.observations, batch.actions, batch.goals)
+    assert float((steps - batch.known.clamp(min=1)).detach().abs().mean()) < 1.0
+    assert float(agent.policy.mode(batch.observations, batch.goals)[:, 0].detach().mean()) < -0.8
+    assert any(not torch.equal(p, before[name]) for name, p in agent.target_policy.named_parameters())
+
+
+# -- explorers --
+
+
+def ongoing(env="point_maze"):
+    return Ongoing(tasks.make(env))
+
+
+def test_an_explorers_episode_begins_where_the_last_one_ended():
+    worlds, rng = [ongoing(), ongoing()], np.random.default_rng(0)
+    worlds[1].goal = np.array([0.3, -0.4])
+
+    def act(observations, goals):
+        return rng.uniform(-1, 1, (2, 2)).astype(np.float32)
+
+    first, second = (roll(worlds, act, [1, 2], 70) for _ in range(2))  # longer than the task's time limit
+    np.testing.assert_array_equal(first.observations[:, -1], second.observations[:, 0])
+    np.testing.assert_array_equal(second.desired_goals[1], np.float32([0.3, -0.4]))
+    assert (np.abs(np.diff(second.achieved_goals, axis=1)).max(2) < 0.11).all()
+
+
+@pytest.mark.parametrize("env", ["point_maze", "fetch_wall"])
+def test_an_explorer_restored_goes_on_to_the_bit(env):
+    actions = np.random.default_rng(0).uniform(-1, 1, (60, tasks.make(env).action_space.shape[0])).astype(np.float32)
+    world, other = ongoing(env), ongoing(env)
+    world.reset(seed=3)
+    for action in actions[:30]:
+        world.step(action)
+    other.restore(world.state())
+    np.testing.assert_equal(other.reset()[0], world.reset()[0])
+    for action in actions[30:]:
+        found, expected = other.step(action)[0], world.step(action)[0]
+        for name in ("observation", "achieved_goal"):
+            np.testing.assert_array_equal(found[name], expected[name])
+
+
+def test_walkers_walk_and_seekers_follow_the_policy_for_half_an_episode():
+    actor = RoleActor(lambda s, g: np.zeros((3, 1)), lambda s, g: np.ones((3, 1)), ["policy", "walk", "seek"], 6)
+    found = np.array([actor(None, None)[:, 0] for _ in range(6)])
+    np.testing.assert_array_equal(found.T, [[0] * 6, [1] * 6, [0, 0, 0, 1, 1, 1]])
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.5, [2, 2, 2, 2]), (0.25, [1, 1, 1, 1]), (0.125, [0, 1, 0, 1])])
+def test_explorers_are_as_many_as_their_share(share, expected):
+    config = tiny(method="plus", episodes_per_iteration=4, **{"explore.explorers": share})
+    envs = [tasks.make(config.env) for _ in range(4)]
+    subject = new_learner(config, envs)
+    explorers, counts, roles = Explorers.of(config), [], set()
+    for _ in expected:
+        joined, actor = explorers.join(envs, lambda s, g: None, subject)
+        assert len(joined) == 4
+        counts.append(sum(isinstance(env, Ongoing) for env in joined))
+        roles |= set(actor._roles.tolist()) if isinstance(actor, RoleActor) else set()
+        subject.buffer.extend(subject.buffer.episodes()[:4])
+    assert counts == expected and roles == {"policy", "walk", "seek"}
+
+
+def test_explorers_give_up_where_no_graph_comes_of_it():
+    config = tiny(method="plus", episodes_per_iteration=4, **{"explore.explorers": 0.5, "explore.patience": 8})
+    envs = [tasks.make(config.env) for _ in range(4)]
+    subject, counts = new_learner(config, envs), []
+    for n_cells in (0, 0, 0, 5):
+        subject.graph = SimpleNamespace(n_cells=n_cells, draw=lambda rng: np.zeros(2))
+        joined, _ = Explorers.of(config).join(envs, lambda s, g: None, subject)
+        counts.append(sum(isinstance(env, Ongoing) for env in joined))
+        subject.buffer.extend(subject.buffer.episodes()[:4])
+    assert counts == [2, 2, 0, 2]  # after 4, 8, 12, 16 episodes
+
+
+def test_a_task_whose_goal_does_not_obey_actions_has_neither_graph_nor_explorers():
+    for env, has in (("fetch_wall", True), ("claw", False)):
+        config = tiny(env, "plus")
+        subject = new_learner(config, [tasks.make(env) for _ in range(config.episodes_per_iteration)])
+        assert (subject.graph is not None) is has
+
+
+def test_a_run_of_plus_resumes_to_the_same_result(tmp_path):
+    changes = {"evaluate.every": 8, "graph.every": 2, "graph.occupancy": 5, "episodes_per_iteration": 4}
+    whole = train(tiny(method="plus", **{**changes, "n_episodes": 40}), tmp_path / "whole")
+    train(tiny(method="plus", **{**changes, "n_episodes": 24}), tmp_path / "parts")
+    parts = train(tiny(method="plus", **{**changes, "n_episodes": 40}), tmp_path / "parts")
+    assert whole[-1]["n_cells"] > 0
+    assert learned(parts) == learned(whole)
