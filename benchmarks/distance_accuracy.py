@@ -76,7 +76,9 @@ def figures_of(probe: Probe, steps: Steps, rng: np.random.Generator) -> dict[str
 
 
 def agreement(truth: np.ndarray, estimate: np.ndarray) -> dict[str, float]:
-    """Rank and linear correlation, mean and coefficient of variation of estimate / truth."""
+    """Rank and linear correlation, mean and coefficient of variation of estimate / truth; NaN where all are alike."""
+    if len(truth) < 2 or min(np.ptp(truth), np.ptp(estimate)) == 0:
+        return dict.fromkeys(("spearman", "pearson", "ratio_cv", "mean_ratio"), np.nan)
     ratio = estimate / truth
     return {
         "spearman": float(spearmanr(truth, estimate).statistic),
@@ -178,8 +180,9 @@ def main() -> int:
     if options.json is not None:
         learned: list[dict[str, Any]] = rows[-len(chosen) :]
         names = [name for name, value in learned[0].items() if isinstance(value, float)]
-        medians = {name: float(np.median([row[name] for row in learned])) for name in names}
-        write_json(options.json, {"env": env_name, "models": len(chosen), **medians, "rows": learned})
+        numbers = {name: [row[name] for row in learned] for name in names}
+        medians = {name: float(np.median(values)) for name, values in numbers.items() if np.isfinite(values).all()}
+        write_json(options.json, {"env": env_name, "models": len(chosen), **medians})
     return 0
 
 

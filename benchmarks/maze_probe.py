@@ -18,7 +18,8 @@ from napsp.storage.files import write_json
 ROOMS = ((-1, -1), (-1, 1), (1, 1), (1, -1))
 """Signs of x and y of the rooms in the order in which doors chain them; episodes begin in the first, goals lie in the
 third."""
-N_ACTIONS = 3
+N_ACTIONS, SEVERAL = 3, 4
+"""Actions of every fourth start; the others have one."""
 TRUTHS = RESULTS / "maze_truth"
 
 
@@ -48,7 +49,7 @@ class Probe:
 
 
 def maze_probe(env_name: str, n_starts: int, n_goals: int, seed: int = 0) -> Probe:
-    """Starts at rest and goals anywhere in the rooms, with several uniform actions a start.
+    """Starts at rest and goals anywhere in the rooms, uniform actions, several of them at some starts.
 
     Args:
         env_name: a maze.
@@ -93,7 +94,8 @@ def _truth(path: Path, world: Any, starts: np.ndarray, actions: np.ndarray, goal
     search, steps = MazeSearch(world), np.empty(shape)
     for i, state in enumerate(starts):
         print(f"\rsearching from start {i + 1} of {len(starts)}", end="", flush=True)
-        for j, action in enumerate(actions[i]):
+        steps[i] = np.inf  # not asked
+        for j, action in enumerate(actions[i] if i % SEVERAL == 0 else actions[i, :1]):
             following = search.step(state[None], action[None])[0]
             steps[i, j] = 1.0 + search.steps_to(following, goals[i])
     print()

@@ -23,6 +23,9 @@ class MPPIConfig:
     """Rounds of sampling per plan."""
     noise_scale: float = 0.8
     """Standard deviation of the sampled noise; controls lie in [-1, 1]."""
+    finest: float = 1.0
+    """Noise of the last sample as a share of ``noise_scale``; the others lie between, evenly in ratio. Below 1 some
+    plans are always near the present one: with noise of one size none holds a small goal for a whole horizon."""
     noise_correlation: float = 0.6
     """Correlation of the noise between neighbouring knots, in [0, 1)."""
     temperature: float = 0.2
@@ -33,7 +36,7 @@ class MPPIConfig:
         return 2 + n_proposals + 1
 
     def __post_init__(self) -> None:
-        check_ranges(self, samples=(1, MANY), refinements=(1, MANY), noise_scale=(0, 100))
+        check_ranges(self, samples=(1, MANY), refinements=(1, MANY), noise_scale=(0, 100), finest=(1e-6, 1))
         check_ranges(self, noise_correlation=(0, 0.999), temperature=(1e-9, 1e9))
 
 
@@ -71,7 +74,8 @@ class MPPI:
         ``proposals`` ``(P, K, U)`` replace noisy plans; they come from a policy, say.
         """
         noise = correlated_noise(rng, (self.config.samples, *self._shape), self.config.noise_correlation)
-        knots = self.mean + self.config.noise_scale * noise
+        shrink = self.config.finest ** np.linspace(0.0, 1.0, self.config.samples)
+        knots = self.mean + self.config.noise_scale * shrink[:, None, None] * noise
         kept = [self.mean[None]]
         if self.best is not None:
             kept.append(self.best[None])

@@ -1,0 +1,140 @@
+"""The measure of distances measures: exact small cases, and the exact distance of a maze scores full marks."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import best_known, distance_accuracy, maze_probe
+from benchmarks.distance_accuracy import agreement, best_actions, figures_of, triangles
+from benchmarks.maze_probe import Probe
+from napsp import envs as tasks
+from napsp.errors import UserError
+
+
+def line(n=9):
+    """Places on a line, a step apart; actions -1 and 1 move; from each to each."""
+    start, action, goal = (part.ravel() for part in np.meshgrid(np.arange(n), [-1.0, 1.0], np.arange(n), indexing="ij"))
+    steps = 1.0 + np.abs(start + action - goal)
+    column = np.arange(n, dtype=float)[:, None]
+    kinds = {"right": start < goal}
+    return Probe(start[:, None], action[:, None], goal[:, None], steps, kinds, start * n + goal, column, column)
+
+
+def exact(observations, actions, goals):
+    if actions is None:  # the best
+        return np.maximum(1.0, np.abs(observations - goals)[:, 0])
+    return 1.0 + np.abs(observations + np.sign(actions) - goals)[:, 0]
+
+
+def test_the_truth_scores_full_marks_and_twice_the_truth_all_but_the_ratio():
+    found = figures_of(line(), exact, np.random.default_rng(0))
+    assert (found["spearman"], found["pearson"], found["mean_ratio"]) == pytest.approx((1, 1, 1))
+    assert found["ratio_cv"] == pytest.approx(0, abs=1e-9) and found["best_action_rate"] == 1.0
+    assert found["triangle_rate"] == 0 and found["distance_at_goal"] == 1
+    assert all(value == pytest.approx(0) for name, value in found.items() if name.startswith("mean error"))
+    twice = figures_of(line(), lambda *rows: 2 * exact(*rows), np.random.default_rng(0))
+    assert twice["mean_ratio"] == pytest.approx(2) and twice["mean_ratio, right"] == pytest.approx(2)
+    assert twice["mean error, 0 to 5 steps"] > 2 and twice["spearman"] == pytest.approx(1)
+
+
+def test_ratio_and_correlation_by_hand():
+    found = agreement(np.array([1.0, 2.0, 4.0]), np.array([2.0, 2.0, 4.0]))
+    assert found["mean_ratio"] == pytest.approx(4 / 3) and found["ratio_cv"] == pytest.approx(np.sqrt(2) / 4)
+
+
+def test_a_squared_distance_violates_triangles():
+    probe = replace(line(), actions=np.zeros((1, 1)))
+
+    def squared(observations, actions, goals):
+        return (observations - goals)[:, 0] ** 2
+
+    found = triangles(probe, squared, np.random.default_rng(0))
+    x, y, z = np.meshgrid(*[np.arange(9.0)] * 3)
+    excess = (x - z) ** 2 - (x - y) ** 2 - (y - z) ** 2
+    assert found["triangle_rate"] == pytest.approx((excess > 0).mean(), abs=0.01)
+    assert found["triangle_rate_step"] == pytest.approx((excess > 1).mean(), abs=0.01)
+
+
+def test_the_best_action_is_sought_where_actions_differ():
+    same = np.array([0, 1, 0, 1, 0, 1])
+    truth = np.array([3.0, 5.0, 4.0, 5.0, 3.0, 5.0])  # of the second, all are alike
+    assert best_actions(same, truth, np.array([1.0, 0, 0, 0, 2, 0]))["best_action_rate"] == 0
+    found = best_actions(same, truth, np.array([1.0, 0, 2, 0, 0, 0]))
+    assert found == {"best_action_rate": 1.0, "best_action_rate_by_chance": pytest.approx(2 / 3)}
+
+
+def test_a_mazes_probe_is_balanced_and_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(maze_probe, "TRUTHS", tmp_path)
+    asked = []
+
+    class Search:
+        def __init__(self, world):
+            pass
+
+        def step(self, states, actions):
+            asked.append(states[0])
+            return states
+
+        def steps_to(self, state, goals):
+            return np.where(goals[:, 0] > 0.8, np.inf, np.round(20 * np.abs(goals[:, 0] - state[0])))
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(maze_probe, "MazeSearch", Search)
+    first = maze_probe.maze_probe("point_maze", 4, 2)
+    assert len(asked) == 4 * (3 + 1 + 1 + 1), "several actions at every fourth start"
+    second = maze_probe.maze_probe("point_maze", 4, 2)
+    assert len(asked) == 24, "kept"
+    np.testing.assert_equal(vars(first), vars(second))
+    use = np.isfinite(first.steps)
+    assert first.kinds["same room"].mean() == 0.25 and first.kinds["of the task"].mean() == 1 / 16
+    assert 0.5 < use[first.alternatives % 8 < 8].mean() * 2 < 1.0
+    np.testing.assert_array_equal(
+        first.steps[use], 1 + np.round(20 * np.abs(first.goals[use, 0] - first.observations[use, 0]))
+    )
+    with pytest.raises(UserError, match="does not hold"):
+        path = next(tmp_path.iterdir())
+        path.write_text(json.dumps({"steps": [[[1]]]}))
+        maze_probe.maze_probe("point_maze", 4, 2)
+
+
+def test_ways_that_are_known_are_followed_in_the_environment(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    env = tasks.make("fetch_reach")
+    seen, actions = [env.reset(seed=70_000)[0]], []
+    while not env.unwrapped.reached(seen[-1]["achieved_goal"], seen[-1]["desired_goal"]):
+        gap = (seen[-1]["desired_goal"] - seen[-1]["achieved_goal"]) * 10
+        actions.append([*np.clip(gap, -1, 1).tolist(), 0.0])
+        seen.append(env.step(np.float32(actions[-1]))[0])
+    way = {"steps": len(actions), "actions": np.float32(actions).tolist()}
+    best_known.FOLDER.mkdir(parents=True)
+    path = best_known.FOLDER / "fetch_reach.json"
+    path.write_text(json.dumps({"70000": way}))
+    probe = best_known.known_probe("fetch_reach")
+    np.testing.assert_array_equal(probe.steps, np.arange(len(actions), 0, -1))
+    np.testing.assert_array_equal(probe.observations, [values["observation"] for values in seen[:-1]])
+    np.testing.assert_array_equal(probe.kinds["from the start"], [True] + [False] * (len(actions) - 1))
+    assert len(probe.places) == len(seen)
+    path.write_text(json.dumps({"70000": {**way, "actions": way["actions"][:-1]}}))
+    with pytest.raises(UserError, match="does not lead to its goal any more"):
+        best_known.known_probe("fetch_reach")
+    with pytest.raises(UserError, match="no ways are known for claw"):
+        best_known.known_probe("claw")
+
+
+def test_a_model_that_ships_is_measured_against_what_is_known(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for main, *arguments in (
+        (best_known.main, "--samples", "16", "--episodes", "2"),
+        (distance_accuracy.main, "--json", "found.json"),
+    ):
+        monkeypatch.setattr("sys.argv", ["command", "--env", "fetch_wall", *arguments])
+        assert main() == 0
+    found = json.loads(Path("found.json").read_text())
+    assert 0.5 < found["spearman"] <= 1 and found["models"] == 1
+    assert {"pearson", "ratio_cv", "mean_ratio", "triangle_rate", "distance_at_goal"} <= found.keys()
+    assert "2 episodes known, 2 shorter than before" in capsys.readouterr().out
