@@ -96,10 +96,8 @@ def _follow(env: Any, seed: int, actions: np.ndarray) -> tuple[list[dict[str, np
 def main() -> int:
     """Plan, compare with what is known, keep the shorter way."""
     options = read_options(KnownOptions, "best_known")
-    changes: dict[str, Any] = {"env": options.env, "search.samples": options.samples, "smooth": None}
-    if options.horizon:
-        changes["horizon"] = options.horizon
-    config = PlanConfig.of(options.planner, {k: v for k, v in changes.items() if v is not None})
+    changes = {"env": options.env, "search.samples": options.samples}
+    config = PlanConfig.of(options.planner, changes | ({"horizon": options.horizon} if options.horizon else {}))
     session = Session.open(config, RunOptions(seed=options.seed, checkpoint=options.checkpoint))
     known, shorter = ways(session.env_name), 0
     before = [way["steps"] for way in known.values()]

@@ -53,6 +53,7 @@ class Variant:
 
 
 DISTANCE = {"cost": "distance", "where": "mean"}
+FINE = {"search.finest": 0.1}
 VARIANTS: dict[str, Variant] = {
     "distance, mean along the plan": Variant("ours", DISTANCE),
     "euclidean, mean along the plan": Variant(None, {"cost": "euclidean", "where": "mean"}),
@@ -70,8 +71,15 @@ VARIANTS: dict[str, Variant] = {
     "off-policy DDL distance, mean, no policy proposals": Variant("offpolicy_ddl", {**DISTANCE, "proposals": False}),
     "DDL distance, mean": Variant("ddl", DISTANCE),
     "DDL distance, mean, no policy proposals": Variant("ddl", {**DISTANCE, "proposals": False}),
+    "plus: policy alone": Variant("plus", None),
+    "plus: distance, mean": Variant("plus", {**DISTANCE, **FINE}),
+    "plus: distance, mean, no policy proposals": Variant("plus", {**DISTANCE, **FINE, "proposals": False}),
+    "plus: distance, end, no policy proposals": Variant(
+        "plus", {"cost": "distance", "where": "terminal", **FINE, "proposals": False}
+    ),
     "sparse": Variant(None, {"cost": "sparse"}),
     "shortest path, mean along the plan": Variant(None, {"cost": "shortest_path", "where": "mean"}),
+    "shortest path, mean, noise down to a tenth": Variant(None, {"cost": "shortest_path", "where": "mean", **FINE}),
 }
 
 

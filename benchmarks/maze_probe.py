@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,15 +84,16 @@ def _truth(path: Path, world: Any, starts: np.ndarray, actions: np.ndarray, goal
     """True steps ``(S, A, M)``; a search of many seconds for each start and action, so they are kept in a file.
 
     Raises:
-        UserError: the file has another number of steps.
+        UserError: the file answers other questions.
     """
-    shape = (*actions.shape[:2], goals.shape[1])
+    asked = hashlib.sha256(b"".join(np.round(part, 9).tobytes() for part in (starts, actions, goals))).hexdigest()
     if path.is_file():
-        stored = np.array(json.loads(path.read_text())["steps"], float)
-        if stored.shape != shape:
-            raise UserError(f"{path} does not hold {shape} steps; remove it, and they are searched again")
-        return np.where(stored < 0, np.inf, stored)
-    search, steps = MazeSearch(world), np.empty(shape)
+        stored = json.loads(path.read_text())
+        if stored["asked"] != asked:
+            raise UserError(f"{path} answers other questions; remove it, and the search begins again")
+        steps = np.array(stored["steps"], float)
+        return np.where(steps < 0, np.inf, steps)
+    search, steps = MazeSearch(world), np.empty((*actions.shape[:2], goals.shape[1]))
     for i, state in enumerate(starts):
         print(f"\rsearching from start {i + 1} of {len(starts)}", end="", flush=True)
         steps[i] = np.inf  # not asked
@@ -101,5 +103,5 @@ def _truth(path: Path, world: Any, starts: np.ndarray, actions: np.ndarray, goal
     print()
     search.close()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, {"steps": np.where(np.isinf(steps), -1, steps).astype(int).tolist()})
+    write_json(path, {"asked": asked, "steps": np.where(np.isinf(steps), -1, steps).astype(int).tolist()})
     return steps

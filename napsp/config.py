@@ -98,6 +98,8 @@ class TrainConfig:
         updates = ("n_temporal_updates", "n_triangular_updates", "n_policy_updates")
         check_ranges(self, seed=(0, 2**31 - 1), **dict.fromkeys(at_least_one, (1, MANY)))
         check_ranges(self, **dict.fromkeys(updates, (0, MANY)))
+        if self.method == "plus" and self.policy.agent != "ddpg":
+            raise UserError("method plus has a deterministic policy of its own; leave out --policy.agent")
         if not self.hidden or min(self.hidden) < 1:
             raise UserError(f"hidden is {self.hidden}; give at least one width of at least 1")
         if self.n_episodes <= self.n_warmup:
@@ -139,14 +141,20 @@ NO_DIFFERENCE = ("seed", "recipe")
 """Options that are no part of a question: a recipe is the values that it sets."""
 OF_THE_GATE = ("counts.pair_bits", "counts.goal_cell", "counts.n_lattices")
 """How N(s, a, g) is counted, for which eq. 4b alone asks."""
+OF_PLUS = ("bootstrap.", "graph.", "explore.explorers", "explore.patience", "explore.anew")
+"""Options, or beginnings of their names, for which no other method asks."""
+NOT_OF_PLUS = ("temporal.", "triangular.", "n_temporal_updates", "n_triangular_updates", "policy.discount",
+               "policy.clip_values", "policy.clipped_double_q", "policy.entropy_weight",
+               "policy.min_entropy_weight")  # fmt: skip
+"""Options for which method plus does not ask."""
 
 
 def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
     """What a stored configuration asks, as :meth:`TrainConfig.identity`: task, method, differences from the defaults.
 
     An option that ``values`` lack has today's default: whoever adds one chooses a default that leaves things as they
-    were. One that is unknown today is a difference, so such a row is never taken for one of today's. How N(s, a, g) is
-    counted is no difference where nobody asks for it.
+    were. One that is unknown today is a difference, so such a row is never taken for one of today's. What a method does
+    not ask for is no difference.
     """
     usual, found = flat(to_dict(DEFAULT)), flat(values)
     for name, value in found.items():  # 1 is 1.0
@@ -154,8 +162,9 @@ def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
             found[name] = float(value)
     different = {name: value for name, value in found.items() if name not in usual or usual[name] != value}
     task = {"env": found.get("env", DEFAULT.env), "method": found.get("method", DEFAULT.method)}
-    idle = NO_DIFFERENCE if task["method"] == "ours" else (*NO_DIFFERENCE, *OF_THE_GATE)
-    return {name: value for name, value in different.items() if name not in idle} | task
+    idle = (*NO_DIFFERENCE, *(() if task["method"] == "ours" else OF_THE_GATE))
+    idle += NOT_OF_PLUS if task["method"] == "plus" else OF_PLUS
+    return {name: value for name, value in different.items() if not name.startswith(idle)} | task
 
 
 PLUS: dict[str, Any] = {

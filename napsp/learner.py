@@ -193,6 +193,8 @@ class Learner:
     def train_jointly(self) -> Metrics:
         """Distance and policy in one; beyond the paper. What is known of each transition goes into its label."""
         config = self.config
+        if not config.n_policy_updates:
+            return {}
         n_sampled = config.n_policy_updates * config.batch_size
         drawn = sample_relabelled(self.buffer.episodes(), n_sampled, config.her, self.sparse_reward, self.rng)
         known = np.full(n_sampled, np.nan, np.float32)

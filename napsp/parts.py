@@ -9,7 +9,7 @@ from napsp.config import TrainConfig
 from napsp.data.buffer import EpisodeBuffer
 from napsp.data.episodes import Episodes, SparseReward
 from napsp.distance.counts import CountModel
-from napsp.distance.graph import ReplayGraph, control
+from napsp.distance.graph import ReplayGraph, explained
 from napsp.distance.learned import LearnedDistance
 from napsp.execution import Execution
 from napsp.learner import Learner, scaling_of
@@ -59,6 +59,6 @@ def build_learner(
     buffer.extend(warmup)
     counts.update(warmup)
     graph = None
-    if config.method == "plus" and config.graph.every and control(warmup) >= config.graph.control:
-        graph = ReplayGraph(config.graph)
+    if config.method == "plus" and config.graph.every and explained(warmup) >= config.graph.control:
+        graph = ReplayGraph(config.graph, sparse_reward)
     return Learner(config, distance, counts, agent, buffer, sparse_reward, rng, generator, len(warmup), graph)

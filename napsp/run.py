@@ -18,6 +18,7 @@ from napsp.data.collect import Actor, ExplorationConfig, ExploringActor, roll
 from napsp.data.episodes import Episodes, concatenate
 from napsp.data.explorers import Explorers
 from napsp.data.outcomes import evaluate
+from napsp.distance.graph import explained
 from napsp.envs.actions import used_actions
 from napsp.errors import UserError
 from napsp.execution import Execution
@@ -82,12 +83,16 @@ class Run:
             revisions = list(dict.fromkeys([*saved[1]["revisions"], *revisions]))
             print(f"continuing {folder} at episode {len(learner.buffer)}")
         explorers = None
+        if config.method == "plus" and config.graph.every and learner.graph is None:
+            share = explained(learner.buffer.episodes()[: config.n_warmup])
+            print(f"actions explain {share:.2f} of how the achieved goal changes: neither graph nor explorers below "
+                  f"{config.graph.control:g} (--graph.control 0 forces them)")  # fmt: skip
         if config.explore.explorers and learner.graph is not None:
             explorers = Explorers.of(config)
             if saved:
                 explorers.restore(explorers_of(saved[0], len(explorers.worlds)))
         folder.mkdir(parents=True, exist_ok=True)
-        progress = Progress(folder, rows, tensorboard)
+        progress = Progress(folder, rows, tensorboard, config.method)
         run = cls(
             config,
             execution,

@@ -12,7 +12,7 @@ import torch
 import tyro
 
 from napsp import envs as tasks
-from napsp.config import PAPER, TrainConfig, preset, recipes
+from napsp.config import PAPER, PAPER_METHODS, TrainConfig, preset, recipes
 from napsp.errors import run_command
 from napsp.execution import Execution
 from napsp.renamed import FLAGS
@@ -105,7 +105,7 @@ def main() -> int:
     folder = options.out or Path("runs") / f"{tasks.file_name(config.env)}-{config.method}-s{config.seed}"
     print(f"{config.env}: {config.method}, seed {config.seed}, {config.n_episodes} episodes -> {folder}")
     others = [name for name in recipes(config.env) if name != PAPER]
-    if config.recipe == PAPER and others:
+    if config.recipe == PAPER and others and config.method in PAPER_METHODS:
         print(f"the paper's method alone; what ships for this task was trained with --recipe {' or '.join(others)}")
     torch.set_num_threads(execution.threads)
     train(config, folder, options.restart, options.tensorboard, execution)

@@ -92,13 +92,13 @@ def test_a_mazes_probe_is_balanced_and_kept(tmp_path, monkeypatch):
     np.testing.assert_equal(vars(first), vars(second))
     use = np.isfinite(first.steps)
     assert first.kinds["same room"].mean() == 0.25 and first.kinds["of the task"].mean() == 1 / 16
-    assert 0.5 < use[first.alternatives % 8 < 8].mean() * 2 < 1.0
+    assert use.mean() < 0.5, "most actions are not asked, and some goals never reached"
     np.testing.assert_array_equal(
         first.steps[use], 1 + np.round(20 * np.abs(first.goals[use, 0] - first.observations[use, 0]))
     )
-    with pytest.raises(UserError, match="does not hold"):
+    with pytest.raises(UserError, match="answers other questions"):
         path = next(tmp_path.iterdir())
-        path.write_text(json.dumps({"steps": [[[1]]]}))
+        path.write_text(json.dumps({**json.loads(path.read_text()), "asked": "where is the milk"}))
         maze_probe.maze_probe("point_maze", 4, 2)
 
 

@@ -9,13 +9,15 @@ import torch
 from napsp import envs as tasks
 from napsp.config import preset
 from napsp.data.collect import roll
+from napsp.data.episodes import concatenate
 from napsp.data.explorers import Explorers, Ongoing, RoleActor
 from napsp.distance.labels import BootstrapConfig, one_step_label
 from napsp.distance.learned import LearnedDistance
+from napsp.errors import UserError
 from napsp.execution import Execution
 from napsp.policy.descent import Descent, DescentBatch, distance_loss, policy_loss
 from napsp.policy.her import HERConfig, sample_relabelled
-from napsp.run import new_learner
+from napsp.run import Run, new_learner
 from napsp.train import train
 from tests.test_learner import learner, reward, walk
 from tests.tiny import learned, tiny
@@ -30,7 +32,7 @@ def test_a_label_is_the_least_of_what_is_known():
     observed = torch.tensor([INF, INF, 7.0, INF, INF, INF, 7.0])
     known = torch.tensor([30.0, NAN, NAN, 12.0, NAN, NAN, 12.0])
     found = one_step_label(arrived, next_steps, observed, known, LENGTH)
-    assert found.tolist() == [1, 21, 7, 12, 50, 1, 7]
+    assert found.tolist() == [1, 21, 7, 12, 50, 2, 7]
 
 
 def test_pessimism_is_over_the_networks():
@@ -60,6 +62,22 @@ class KnowsSome:
 
     def steps(self, achieved, goals):
         return np.where(goals[:, 0] // 1000 % 2 == 0, 30.0, np.nan).astype(np.float32) + 0 * achieved[:, 0]
+
+
+def test_without_updates_nothing_is_trained():
+    assert learner("plus", n_policy_updates=0).train_jointly() == {}
+
+
+def test_the_policys_learner_cannot_be_chosen():
+    with pytest.raises(UserError, match="policy of its own"):
+        preset("point_maze", "plus", changes={"policy.agent": "sac"})
+
+
+def test_what_a_method_does_not_ask_for_is_no_difference():
+    for method, idle in (("ours", {"graph.cell": 2.0, "bootstrap.bound": False}), ("plus", {"policy.discount": 0.5})):
+        assert preset("point_maze", method, changes=idle).digest() == preset("point_maze", method).digest()
+        other = "plus" if method == "ours" else "ours"
+        assert preset("point_maze", other, changes=idle).digest() != preset("point_maze", other).digest()
 
 
 @pytest.mark.parametrize("bound", [True, False])
@@ -109,9 +127,12 @@ def test_labels_bootstrap_from_the_slow_networks_at_the_slow_policys_action():
         for network in (agent.target_distance, agent.target_policy):
             for parameter in network.parameters():
                 parameter.add_(0.3 * torch.randn(parameter.shape))
+        for head in agent.target_distance.heads:
+            head.net[-1].bias += 8.0  # steps
         action = agent.target_policy.mode(batch.next_observations, batch.goals)
         inputs = torch.cat([batch.next_observations, action, batch.goals], 1)
-        labels = (1 + LENGTH * agent.target_distance.members(inputs).amax(0)).clamp(1, LENGTH)
+        labels = (1 + LENGTH * agent.target_distance.members(inputs).amax(0)).clamp(2, LENGTH)
+        assert len(labels.unique()) == 8
         predicted = LENGTH * agent.distance.members(torch.cat([batch.observations, batch.actions, batch.goals], 1))
         expected = (10 / (labels + 5) * ((predicted - labels) / LENGTH) ** 2).sum() / 8
     loss, metrics = distance_loss(agent, batch)
@@ -136,9 +157,9 @@ def test_training_fits_what_is_known_and_the_policy_goes_downhill():
     before = {name: p.clone() for net in agent.networks().values() for name, p in net.named_parameters()}
     for _ in range(12):
         figures = agent.train(batch, 64, torch.Generator())
-    assert figures["mean_label"] == pytest.approx(float(batch.known.clamp(1, LENGTH).mean()), rel=1e-4)
+    assert figures["mean_label"] == pytest.approx(float(batch.known.clamp(2, LENGTH).mean()), rel=1e-4)
     steps = agent.distance.steps(batch.observations, batch.actions, batch.goals)
-    assert float((steps - batch.known.clamp(min=1)).detach().abs().mean()) < 1.0
+    assert float((steps - batch.known.clamp(min=2)).detach().abs().mean()) < 1.0
     assert float(agent.policy.mode(batch.observations, batch.goals)[:, 0].detach().mean()) < -0.8
     assert any(not torch.equal(p, before[name]) for name, p in agent.target_policy.named_parameters())
 
@@ -147,7 +168,7 @@ def test_training_fits_what_is_known_and_the_policy_goes_downhill():
 
 
 def ongoing(env="point_maze"):
-    return Ongoing(tasks.make(env))
+    return Ongoing(tasks.make(env), 25)
 
 
 def test_an_explorers_episode_begins_where_the_last_one_ended():
@@ -178,25 +199,44 @@ def test_an_explorer_restored_goes_on_to_the_bit(env):
             np.testing.assert_array_equal(found[name], expected[name])
 
 
+def more(subject, n):
+    """Any n episodes."""
+    return concatenate([subject.buffer.episodes()[:1]] * n)
+
+
+def test_now_and_then_an_explorer_begins_anew():
+    world, places = Ongoing(tasks.make("point_maze"), 3), []
+    for seed in range(7):
+        places.append(world.reset(seed=seed)[0]["achieved_goal"])
+        for _ in range(5):
+            world.step(np.ones(2, np.float32))
+    fresh = [tasks.make("point_maze").reset(seed=seed)[0]["achieved_goal"] for seed in range(7)]
+    assert [np.array_equal(a, b) for a, b in zip(places, fresh, strict=True)] == [True, False, False] * 2 + [True]
+
+
 def test_walkers_walk_and_seekers_follow_the_policy_for_half_an_episode():
     actor = RoleActor(lambda s, g: np.zeros((3, 1)), lambda s, g: np.ones((3, 1)), ["policy", "walk", "seek"], 6)
     found = np.array([actor(None, None)[:, 0] for _ in range(6)])
     np.testing.assert_array_equal(found.T, [[0] * 6, [1] * 6, [0, 0, 0, 1, 1, 1]])
 
 
-@pytest.mark.parametrize(("share", "expected"), [(0.5, [2, 2, 2, 2]), (0.25, [1, 1, 1, 1]), (0.125, [0, 1, 0, 1])])
-def test_explorers_are_as_many_as_their_share(share, expected):
-    config = tiny(method="plus", episodes_per_iteration=4, **{"explore.explorers": share})
-    envs = [tasks.make(config.env) for _ in range(4)]
+@pytest.mark.parametrize(
+    ("n", "share", "expected"),
+    [(4, 0.5, [2, 2, 2]), (4, 0.25, [1, 1, 1]), (4, 0.125, [0, 1, 0]), (8, 0.5, [4, 4, 4]), (4, 1.0, [4, 4, 4])],
+)
+def test_explorers_are_as_many_as_their_share(n, share, expected):
+    config = tiny(method="plus", episodes_per_iteration=n, n_episodes=100, **{"explore.explorers": share})
+    envs = [tasks.make(config.env) for _ in range(n)]
     subject = new_learner(config, envs)
     explorers, counts, roles = Explorers.of(config), [], set()
     for _ in expected:
         joined, actor = explorers.join(envs, lambda s, g: None, subject)
-        assert len(joined) == 4
+        assert len(joined) == len({id(env) for env in joined}) == n
         counts.append(sum(isinstance(env, Ongoing) for env in joined))
         roles |= set(actor._roles.tolist()) if isinstance(actor, RoleActor) else set()
-        subject.buffer.extend(subject.buffer.episodes()[:4])
-    assert counts == expected and roles == {"policy", "walk", "seek"}
+        subject.buffer.extend(more(subject, n))
+    assert counts == expected
+    assert roles >= {"walk", "seek"} if share > 0.125 else {"policy", "walk"}
 
 
 def test_explorers_give_up_where_no_graph_comes_of_it():
@@ -211,11 +251,13 @@ def test_explorers_give_up_where_no_graph_comes_of_it():
     assert counts == [2, 2, 0, 2]  # after 4, 8, 12, 16 episodes
 
 
-def test_a_task_whose_goal_does_not_obey_actions_has_neither_graph_nor_explorers():
+def test_a_task_whose_goal_does_not_obey_actions_has_neither_graph_nor_explorers(tmp_path, capsys):
     for env, has in (("fetch_wall", True), ("claw", False)):
         config = tiny(env, "plus")
-        subject = new_learner(config, [tasks.make(env) for _ in range(config.episodes_per_iteration)])
-        assert (subject.graph is not None) is has
+        run = Run.open(config, tmp_path / env, False, False, Execution())
+        run.close()
+        assert (run.learner.graph is not None) is has and (run.explorers is not None) is has
+        assert ("neither graph nor explorers" in capsys.readouterr().out) is not has
 
 
 def test_a_run_of_plus_resumes_to_the_same_result(tmp_path):

@@ -27,14 +27,24 @@ class ExplorationConfig:
     held_starts: float = 0.0
     """Share of training episodes that begin with the box in the gripper (pick and place only)."""
     explorers: float = 0.0
-    """Share of training episodes that go on where the last one ended: half of them walk at random, half seek goals
-    of rarely visited cells. Beyond the paper."""
+    """Share of training episodes that go on where the last one ended: half of them walk at random, half seek a place of
+    a cell drawn at random. Only with a graph, see ``graph.control``. Beyond the paper."""
     patience: int = 100
-    """Explorers stop after this many episodes, warm-up included, until the data is dense enough for a graph: in a space
-    too wide for that they would go on for ever."""
+    """After this many episodes, warm-up included, explorers pause while the data is too thin for a graph: in a space
+    too wide for one they would go on for ever."""
+    anew: int = 25
+    """Every so many of its episodes an explorer begins with a reset, wherever it got stuck."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, epsilon=(0, 1), hold=(1, MANY), held_starts=(0, 1), explorers=(0, 1), patience=(0, MANY))
+        check_ranges(
+            self,
+            epsilon=(0, 1),
+            hold=(1, MANY),
+            held_starts=(0, 1),
+            explorers=(0, 1),
+            patience=(0, MANY),
+            anew=(1, MANY),
+        )
 
     @property
     def start_chance(self) -> float:

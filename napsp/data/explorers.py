@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import gymnasium
@@ -20,18 +21,25 @@ ROLES = ("walk", "seek")
 class Ongoing(gymnasium.Wrapper):
     """An environment whose episodes begin where the last one ended, with a goal of our choice.
 
-    Only the first episode begins with a reset. Rewards are worked out anew from the goals that are stored, so the
-    environment itself need not know.
+    Now and then one begins with a reset. Rewards are worked out anew from the goals that are stored, so the environment
+    itself need not know.
+
+    Args:
+        env: a task that has ``dynamics``, ``model`` and ``data``.
+        anew: episodes from one reset to the next.
     """
 
-    def __init__(self, env: gymnasium.Env) -> None:
+    def __init__(self, env: gymnasium.Env, anew: int) -> None:
         super().__init__(env)
+        self._anew, self._n_episodes = anew, 0
         self.last: dict[str, Any] | None = None
         self.goal: np.ndarray | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Go on; the very first time, start an episode."""
-        last: Any = self.env.reset(seed=seed, options=options)[0] if self.last is None else self.last
+        """Go on, or begin anew."""
+        begins = self.last is None or self._n_episodes % self._anew == 0
+        last: Any = self.env.reset(seed=seed, options=options)[0] if begins else self.last
+        self._n_episodes += 1
         self.last = last if self.goal is None else {**last, "desired_goal": self.goal}
         return self.last, {}
 
@@ -46,7 +54,7 @@ class Ongoing(gymnasium.Wrapper):
         if self.last is None:
             return {}
         world: Any = self.env.unwrapped
-        return {"physics": get_state(world.model, world.data), **self.last}
+        return {"n_episodes": np.array(self._n_episodes), "physics": get_state(world.model, world.data), **self.last}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on where another one was."""
@@ -55,7 +63,8 @@ class Ongoing(gymnasium.Wrapper):
         world: Any = self.env.unwrapped
         self.env.reset(seed=0)
         world.dynamics.bind(world.data).restore(state["physics"])
-        self.last = {name: value for name, value in state.items() if name != "physics"}
+        self._n_episodes = int(state["n_episodes"])
+        self.last = {name: value for name, value in state.items() if name not in ("n_episodes", "physics")}
 
 
 class RoleActor:
@@ -67,20 +76,17 @@ class RoleActor:
 
     def __call__(self, observations: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Actions ``(E, A)``."""
-        seeking = (self._roles == "seek") & (self._t < self._length // 2)
-        walking = (self._roles == "walk") | ((self._roles == "seek") & ~seeking)
+        walking = (self._roles == "walk") | ((self._roles == "seek") & (self._t >= self._length // 2))
         self._t += 1
-        actions, random = self._policy(observations, goals), self._walk(observations, goals)
-        return np.where(walking[:, None], random, actions)
+        return np.where(walking[:, None], self._walk(observations, goals), self._policy(observations, goals))
 
 
 class Explorers:
-    """Takes the place of some of the environments of an iteration.
+    """Takes the place of some of the environments of an iteration; every other one walks, every other one seeks.
 
     Args:
-        worlds: one environment a role.
-        share: of all episodes.
-        config: how random actions are drawn.
+        worlds: the environments.
+        config: how many, and how random actions are drawn.
         length: T.
     """
 
@@ -89,8 +95,10 @@ class Explorers:
 
     @classmethod
     def of(cls, config: TrainConfig) -> Explorers:
-        """As a configuration describes them."""
-        return cls([Ongoing(tasks.make(config.env)) for _ in ROLES], config.explore, config.episode_length)
+        """As a configuration describes them, at least one of each role."""
+        explore, n = config.explore, math.ceil(config.explore.explorers * config.episodes_per_iteration)
+        worlds = [Ongoing(tasks.make(config.env), explore.anew) for _ in range(max(n, len(ROLES)))]
+        return cls(worlds, explore, config.episode_length)
 
     def states(self) -> list[dict[str, np.ndarray]]:
         """Where each one is."""
@@ -104,19 +112,19 @@ class Explorers:
     def join(self, envs: list[Any], actor: Actor, learner: Learner) -> tuple[list[Any], Actor]:
         """Environments and actor of one iteration."""
         n, n_warmup = len(envs), learner.config.n_warmup
-        done = (len(learner.buffer) - n_warmup) * self._config.explorers
-        first, last = int(done), int(done + n * self._config.explorers)
-        chosen = sorted({i % len(ROLES) for i in range(first, last)})
-        too_wide = not (learner.graph and learner.graph.n_cells) and len(learner.buffer) > self._config.patience
-        if not chosen or too_wide:
-            return envs, actor
+        done, share = len(learner.buffer) - n_warmup, self._config.explorers
+        due = range(int(done * share), int((done + n) * share))  # of all explorers' episodes, by number
         rng, graph = learner.rng, learner.graph
-        episodes = learner.buffer.episodes()
-        for i in chosen:
-            self.worlds[i].goal = episodes.desired_goals[rng.integers(n_warmup)].astype(np.float64)
-            if ROLES[i] == "seek" and graph is not None and graph.n_cells:
-                self.worlds[i].goal = graph.draw(rng).astype(np.float64)
-        roles = ["policy"] * (n - len(chosen)) + [ROLES[i] for i in chosen]
+        ready = graph is not None and graph.n_cells > 0
+        if not due or (not ready and len(learner.buffer) > self._config.patience):
+            return envs, actor
+        chosen = [(self.worlds[i % len(self.worlds)], ROLES[i % len(self.worlds) % len(ROLES)]) for i in due]
+        wanted = learner.buffer.episodes().desired_goals[:n_warmup]
+        for world, role in chosen:
+            world.goal = wanted[rng.integers(len(wanted))].astype(np.float64)
+            if role == "seek" and graph is not None and ready:
+                world.goal = graph.draw(rng).astype(np.float64)
+        roles = ["policy"] * (n - len(chosen)) + [role for _, role in chosen]
         walk = ExploringActor(None, envs[0].action_space.shape[0], self._config, rng, learner.generator)
-        joined = [*envs[: n - len(chosen)], *(self.worlds[i] for i in chosen)]
+        joined = [*envs[: n - len(chosen)], *(world for world, _ in chosen)]
         return joined, RoleActor(actor, walk, roles, self._length)

@@ -3,8 +3,8 @@
 Achieved goals are sorted into cells. Every observed transition that crosses from cell u to cell v is an edge, and a
 path along such edges is what somebody could do, whoever did its parts: the triangle of eq. 4b for all waypoints at
 once. An edge costs one step, or more if its cells are farther apart than the fastest come in one: paths may go on from
-anywhere in a cell, and would gain up to its width with every step. Walls thinner than a cell, and what the achieved
-goal does not show, are beyond it.
+anywhere in a cell, and would gain up to its width with every step. A goal is reached in every cell that the task's own
+success test accepts for it. Walls thinner than a cell, and what the achieved goal does not show, are beyond it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from napsp.data.episodes import Episodes
+from napsp.data.episodes import Episodes, SparseReward
 from napsp.settings import MANY, check_ranges
 
 FASTEST = 0.995
-"""Quantile of changes of the achieved goal per step that is the fastest, by parts."""
-LARGEST = 2.0**62
+"""Quantile of the changes of the achieved goal per step, by parts, zeros apart, that is the fastest."""
+LARGEST = 2.0**62  # cells of a grid that int64 can number
 GROWTH = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5)
 
 
@@ -29,7 +29,7 @@ class GraphConfig:
     """Labels of shortest paths over cells of achieved goals; for method plus."""
 
     every: int = 10
-    """Iterations from one graph to the next; 0 goes without."""
+    """Iterations from one graph to the next; 0 goes without graph and explorers."""
     cell: float = 1.1
     """Least edge of a cell, in root mean square changes of the achieved goal per step."""
     growth: float = 3.0
@@ -37,75 +37,87 @@ class GraphConfig:
     occupancy: int = 20
     """States per occupied cell, in the mean."""
     n_goals: int = 1500
-    """Cells, drawn at random, to which paths are searched; all where there are no more."""
+    """Cells to which paths are searched: all, or those of so many random places."""
     luck: float = 0.01
     """A crossing from cell to cell is luck, and no edge, if fewer than this share of the ways out are such."""
     n_lattices: int = 3
     """Lattices of cells, shifted against each other; steps are the mean of theirs."""
     control: float = 0.3
     """No graph where actions explain less than this share of how some part of the achieved goal changes in random play:
-    cells cannot tell states apart whose ways on depend on what the achieved goal does not show."""
+    cells cannot tell states apart whose ways on depend on what the achieved goal does not show. 0 forces a graph."""
 
     def __post_init__(self) -> None:
         check_ranges(self, every=(0, MANY), cell=(1e-3, 100), growth=(1, GROWTH[-1]), luck=(0, 1), control=(0, 1))
         check_ranges(self, occupancy=(1, MANY), n_goals=(1, MANY), n_lattices=(1, 100))
 
 
-def control(episodes: Episodes) -> float:
-    """How far actions decide at once how the achieved goal changes: the least share explained (R^2) of its parts.
+def explained(episodes: Episodes) -> float:
+    """How far actions decide at once how the achieved goal changes: the least share explained of its parts, in [0, 1].
 
-    Linear regression of phi(s_t+1) - phi(s_t) on a_t over random play; parts that never change do not count. A valve
-    that fingers push or a box out of reach have about 0, positions of a point or a gripper .4 to .99.
+    Adjusted R^2 of a linear regression of phi(s_t+1) - phi(s_t) on a_t over random play; parts that never change do not
+    count. It is about 0 for a valve that fingers push or a box out of reach.
     """
     change = np.diff(episodes.achieved_goals.astype(np.float64), axis=1).reshape(-1, episodes.achieved_goals.shape[-1])
     actions = episodes.actions.reshape(-1, episodes.actions.shape[-1]).astype(np.float64)
     inputs = np.concatenate([actions, np.ones((len(actions), 1))], axis=1)
     rest = change - inputs @ np.linalg.lstsq(inputs, change, rcond=None)[0]
-    moving = change.std(0) > 1e-9
-    return float((1.0 - rest.var(0)[moving] / change.var(0)[moving]).min(initial=1.0)) if moving.any() else 0.0
+    moving, left = change.std(0) > 1e-9, len(actions) - inputs.shape[1]
+    if not moving.any() or left < 1:
+        return 0.0
+    unexplained = rest.var(0)[moving] / change.var(0)[moving] * (len(actions) - 1) / left
+    return float(np.clip(1.0 - unexplained, 0.0, 1.0).min())
 
 
 class ReplayGraph:
-    """Steps between achieved goals, from the transitions of D: the mean over lattices of cells that are shifted against
-    each other, so that it changes more evenly than from cell to cell.
+    """Steps between achieved goals, from the transitions of D.
+
+    They are the mean over lattices of cells that are shifted against each other, so that it changes more evenly than
+    from cell to cell.
+
+    Args:
+        config: cells and edges.
+        sparse_reward: the task's own, which says what is at a goal.
 
     Attributes:
-        n_cells: occupied cells of the first lattice; 0 while the data is too sparse for a graph.
-        connected: share of pairs of cells with an observed path.
         built_at: episodes that it was built from.
     """
 
-    def __init__(self, config: GraphConfig) -> None:
-        self._config, self.built_at = config, 0
+    def __init__(self, config: GraphConfig, sparse_reward: SparseReward) -> None:
+        self._config, self._sparse_reward, self.built_at = config, sparse_reward, 0
         self._lattices: list[Lattice] = []
 
     @property
     def n_cells(self) -> int:
-        """See the class."""
+        """Occupied cells of the first lattice; 0 while the data is too sparse for a graph."""
         return self._lattices[0].n_cells if self._lattices else 0
 
     @property
     def connected(self) -> float:
-        """See the class."""
+        """Share of pairs of cells with an observed path."""
         return float(np.mean([lattice.connected for lattice in self._lattices])) if self._lattices else 0.0
 
     def build(self, episodes: Episodes, seed: int) -> None:
         """Search all paths anew; the same episodes and seed give the same graph."""
         config, self.built_at = self._config, len(episodes)
-        rng = np.random.default_rng([seed, len(episodes)])
+        places = episodes.achieved_goals.reshape(-1, episodes.achieved_goals.shape[-1])
+        drawn = places[np.random.default_rng([seed, len(episodes)]).integers(len(places), size=config.n_goals)]
         shifts = np.arange(config.n_lattices) / config.n_lattices
         made = [Lattice.of(episodes, config, shift) for shift in shifts]
         self._lattices = [lattice for lattice in made if lattice is not None]
         for lattice in self._lattices:
-            lattice.search(episodes, config, rng)
+            lattice.search(episodes, config, self._sparse_reward, drawn)
 
     def steps(self, achieved: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """Steps ``(n,)`` of the shortest observed path between achieved goals and goals ``(n, G)``; NaN where unknown.
+        """Steps ``(n,)`` of the shortest observed path from achieved goals to being at goals ``(n, G)``.
 
-        Unknown are, in any lattice, cells that nobody visited, pairs without a path, cells to which none was searched.
+        NaN where no lattice knows: cells that nobody visited, pairs without a path, goals that were not searched.
         """
-        found = [lattice.steps(achieved, goals) for lattice in self._lattices]
-        return np.mean(found, axis=0) if found else np.full(len(goals), np.nan, np.float32)
+        total, known = np.zeros(len(goals), np.float32), np.zeros(len(goals), np.int64)
+        for lattice in self._lattices:
+            found = lattice.steps(achieved, goals)
+            known += ~np.isnan(found)
+            total += np.nan_to_num(found)
+        return np.where(known > 0, total / np.maximum(known, 1), np.nan).astype(np.float32)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """An achieved goal ``(G,)`` of D: one of a cell, and all cells as likely."""
@@ -122,55 +134,57 @@ class Lattice:
 
     Attributes:
         n_cells: occupied ones.
-        connected: share of pairs with an observed path.
+        connected: share of pairs of a cell and a searched goal with an observed path.
     """
 
     def __init__(self, episodes: Episodes, edge: np.ndarray, shift: float) -> None:
-        self._places = episodes.achieved_goals.reshape(-1, len(edge))
-        low, high = self._places.min(0).astype(np.float64), self._places.max(0)
+        self._visited = episodes.achieved_goals.reshape(-1, len(edge))
+        low, high = self._visited.min(0).astype(np.float64), self._visited.max(0)
         self._edge, self._low = edge, low - shift * edge
         self._shape = np.floor((high - low) / edge).astype(np.int64) + 2
-        if np.prod(self._shape.astype(float)) > LARGEST:
-            self.n_cells, self.connected = len(self._places), 0.0
-            return
-        codes = _codes(np.floor((self._places - self._low) / edge), self._shape)
-        self._codes, self._cells = np.unique(codes, return_inverse=True)
-        self.n_cells, self.connected = len(self._codes), 0.0
+        numbers = _numbered(np.floor((self._visited - self._low) / edge), self._shape)
+        self._numbers, self._cell_of = np.unique(numbers, return_inverse=True)
+        self.n_cells, self.connected = len(self._numbers), 0.0
 
     @classmethod
     def of(cls, episodes: Episodes, config: GraphConfig, shift: float) -> Lattice | None:
         """The finest one with states enough in its cells; None where all would be too empty."""
-        change = np.diff(episodes.achieved_goals.astype(np.float64), axis=1)
-        least = config.cell * np.sqrt((change**2).mean((0, 1)))
-        never = 1e-9 + 1e-6 * np.ptp(episodes.achieved_goals, axis=(0, 1))  # what never moves is one cell
-        for growth in GROWTH:
-            if growth <= config.growth:
-                lattice = cls(episodes, np.maximum(least * growth, never), shift)
-                if len(lattice._places) >= config.occupancy * lattice.n_cells:
+        achieved = episodes.achieved_goals
+        change, span = np.diff(achieved.astype(np.float64), axis=1), np.ptp(achieved, axis=(0, 1))
+        least, never = config.cell * np.sqrt((change**2).mean((0, 1))), 1e-9 + 1e-6 * span  # what never moves: one cell
+        for growth in [*(g for g in GROWTH if g < config.growth), config.growth]:
+            edge = np.maximum(least * growth, never)
+            if np.prod(span / edge + 2.0) < LARGEST:
+                lattice = cls(episodes, edge, shift)
+                if len(lattice._visited) >= config.occupancy * lattice.n_cells:
                     return lattice
         return None
 
-    def search(self, episodes: Episodes, config: GraphConfig, rng: np.random.Generator) -> None:
-        """Dijkstra from all cells, or some, along observed crossings turned round."""
-        n, cells = self.n_cells, self._cells.reshape(episodes.achieved_goals.shape[:2])
+    def search(self, episodes: Episodes, config: GraphConfig, sparse_reward: SparseReward, drawn: np.ndarray) -> None:
+        """Dijkstra along observed crossings turned round, from all cells or those of ``drawn`` places ``(m, G)``."""
+        n, cells = self.n_cells, self._cell_of.reshape(episodes.achieved_goals.shape[:2])
         start, end = cells[:, :-1].ravel(), cells[:, 1:].ravel()
         crossing = start != end
         edges, seen = np.unique(start[crossing] * n + end[crossing], return_counts=True)
         start, end = edges // n, edges % n
         usual = seen >= config.luck * np.bincount(start, seen, minlength=n)[start]
         start, end = start[usual], end[usual]
-        change = np.abs(np.diff(episodes.achieved_goals, axis=1)).reshape(-1, len(self._edge))
-        fastest = np.maximum(np.quantile(change, FASTEST, axis=0), 1e-12)
-        leaps = self._edge * np.abs(_places(self._codes[end], self._shape) - _places(self._codes[start], self._shape))
-        backwards = csr_matrix((np.maximum(1.0, (leaps / fastest).max(1, initial=0.0)), (end, start)), shape=(n, n))
-        goals = np.arange(n) if n <= config.n_goals else rng.choice(n, config.n_goals, replace=False)
-        self._steps = dijkstra(backwards, indices=goals).astype(np.float32)
+        centres = self._low + (_places(self._numbers, self._shape) + 0.5) * self._edge
+        leaps = np.abs(centres[end] - centres[start]) / fastest(episodes)
+        goals = np.arange(n) if n <= config.n_goals else np.unique(self.cell(drawn))
+        # A goal is a node of its own, a step from every cell that counts as being there.
+        at, goal = _accepted(centres, goals, sparse_reward)
+        steps = np.concatenate([np.maximum(1.0, leaps.max(1, initial=0.0)), np.ones(len(at))])
+        rows, columns = np.concatenate([end, n + goal]), np.concatenate([start, at])
+        backwards = csr_matrix((steps, (rows, columns)), shape=(n + len(goals),) * 2)
+        found = dijkstra(backwards, indices=n + np.arange(len(goals)))[:, :n]
+        self._steps = found.astype(np.float32) - 1.0
         self._row = np.full(n, -1)
         self._row[goals] = np.arange(len(goals))
         self.connected = float(np.isfinite(self._steps).mean())
 
     def steps(self, achieved: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """As :meth:`ReplayGraph.steps`."""
+        """As :meth:`ReplayGraph.steps`, for this lattice alone."""
         found = np.full(len(goals), np.nan, np.float32)
         here, there = self.cell(achieved), self.cell(goals)
         known = (here >= 0) & (there >= 0)
@@ -181,25 +195,42 @@ class Lattice:
         return found
 
     def cell(self, goals: np.ndarray) -> np.ndarray:
-        """Number of the cell of goals ``(n, G)``; -1 where nobody was."""
+        """Index of the cell of goals ``(n, G)``; -1 where nobody was."""
         place = np.floor((goals - self._low) / self._edge)
         inside = np.all((place >= 0) & (place < self._shape), axis=-1)
-        code = _codes(np.where(inside[:, None], place, 0), self._shape)
-        found = np.searchsorted(self._codes, code)
-        found[found == len(self._codes)] = 0
-        return np.where(inside & (self._codes[found] == code), found, -1)
+        number = _numbered(np.where(inside[:, None], place, 0), self._shape)
+        found = np.searchsorted(self._numbers, number)
+        found[found == self.n_cells] = 0
+        return np.where(inside & (self._numbers[found] == number), found, -1)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """As :meth:`ReplayGraph.draw`."""
-        members = np.flatnonzero(self._cells == rng.integers(self.n_cells))
-        return self._places[rng.choice(members)]
+        members = np.flatnonzero(self._cell_of == rng.integers(self.n_cells))
+        return self._visited[rng.choice(members)]
 
 
-def _codes(places: np.ndarray, shape: np.ndarray) -> np.ndarray:
+def fastest(episodes: Episodes) -> np.ndarray:
+    """Change per step of each part of the achieved goal ``(G,)`` at its fastest; +inf where it never changes."""
+    change = np.abs(np.diff(episodes.achieved_goals, axis=1)).reshape(-1, episodes.achieved_goals.shape[-1])
+    return np.array([np.quantile(part[part > 0], FASTEST) if (part > 0).any() else np.inf for part in change.T])
+
+
+def _accepted(centres: np.ndarray, goals: np.ndarray, sparse_reward: SparseReward) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of a cell and the index of a goal cell in ``goals`` where being in the one is being at the other."""
+    at, goal = [goals], [np.arange(len(goals))]  # a cell is at itself, however wide
+    places = centres.astype(np.float32)
+    for k, cell in enumerate(goals):
+        near = np.flatnonzero(sparse_reward(places, np.broadcast_to(places[cell], places.shape)) == 0)
+        at.append(near[near != cell])
+        goal.append(np.full(len(at[-1]), k))
+    return np.concatenate(at), np.concatenate(goal)
+
+
+def _numbered(places: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """One number for each cell ``(n, G)`` of a grid."""
     return np.asarray(np.ravel_multi_index(tuple(places.astype(np.int64).T), tuple(int(n) for n in shape)))
 
 
-def _places(codes: np.ndarray, shape: np.ndarray) -> np.ndarray:
+def _places(numbers: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Cells ``(n, G)`` by their numbers."""
-    return np.stack(np.unravel_index(codes, tuple(int(n) for n in shape)), axis=-1)
+    return np.stack(np.unravel_index(numbers, tuple(int(n) for n in shape)), axis=-1)

@@ -66,7 +66,7 @@ def one_step_label(arrived: Tensor, next_steps: Tensor, observed: Tensor, known:
 
         1                                    where s_t+1 is at the goal
         min(known, observed)                 where shortest paths over the replay lead there
-        min(1 + d_old(s_t+1), observed)      elsewhere; within [1, T]
+        min(1 + d_old(s_t+1), observed)      elsewhere; both within [2, T], for one step was not enough
 
     Args:
         arrived: whether s_t+1 is at the goal, bool ``(B,)``.
@@ -77,7 +77,7 @@ def one_step_label(arrived: Tensor, next_steps: Tensor, observed: Tensor, known:
     """
     steps = torch.where(known.isnan(), 1.0 + next_steps, known)
     steps = torch.minimum(steps, observed)
-    return torch.where(arrived, torch.ones_like(steps), steps).clamp(1.0, length)
+    return torch.where(arrived, torch.ones_like(steps), steps.clamp(2.0, length))
 
 
 def temporal_label(steps_between: Tensor, target_steps: Tensor, uncertainty: Tensor) -> Tensor:

@@ -35,7 +35,7 @@ class DistanceConfig:
     loss: str = "squared"
     """How d is fitted to its labels, see napsp/distance/losses.py; the paper squares the error."""
     target_polyak: float = 1.0
-    """Weight of the new parameters in the per-iteration target update; 1 copies (line 9)."""
+    """Weight of the new parameters in the target update, per iteration (line 9; 1 copies), or per update for plus."""
     slow: bool = False
     """Reward the policy with the target network, and save that one. With a small target_polyak it averages out what
     the last iteration's few episodes did to d."""
@@ -46,7 +46,7 @@ class DistanceConfig:
 
 
 class MLPHead(nn.Module):
-    """d / T as the output of one network; a linear one may be slightly negative."""
+    """One network; a linear output may be slightly negative."""
 
     def __init__(
         self, sizes: tuple[int, int, int], hidden: tuple[int, ...], layer_norm: bool = False, output: str = "linear"
@@ -57,7 +57,7 @@ class MLPHead(nn.Module):
         self.output = output
 
     def forward(self, inputs: Tensor) -> Tensor:
-        """D / T ``(B,)`` of scaled and joined rows ``(B, O + A + G)``."""
+        """Outputs ``(B,)``, d in ``unit``, of scaled and joined rows ``(B, O + A + G)``."""
         outputs = self.net(inputs).squeeze(-1)
         return functional.softplus(outputs) if self.output == "softplus" else outputs
 
@@ -70,7 +70,7 @@ HEADS: dict[str, Callable[[tuple[int, int, int], tuple[int, ...], DistanceConfig
     "mlp": lambda sizes, hidden, config: MLPHead(sizes, hidden, config.layer_norm, config.output),
     "quasimetric": lambda sizes, hidden, config: QuasimetricHead(sizes, hidden, config.layer_norm),
 }
-"""Modules that map scaled and joined rows ``(B, O + A + G)`` to d / T ``(B,)``."""
+"""Modules that map scaled and joined rows ``(B, O + A + G)`` to d in ``unit`` ``(B,)``."""
 
 
 class DistanceNetwork(nn.Module):

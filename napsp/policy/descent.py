@@ -44,7 +44,7 @@ class DescentBatch(NamedTuple):
 class Descent:
     """A deterministic policy that descends the first of K distances, each with a slow copy.
 
-    There is no reward, no discount and no second critic: what the policy descends is the distance that is saved.
+    There is no reward, no discount and no further critic. The mean of the slow copies is the distance that is saved.
 
     Args:
         sizes: of observation, action and goal.

@@ -21,22 +21,28 @@ COLUMNS = {
     "merging_rate": ("merge", "{:6.3f}"),
     "relaxation_rate": ("relax", "{:6.3f}"),
     "entropy_weight": ("alpha", "{:6.3f}"),
+    "n_cells": ("cells", "{:6.0f}"),
+    "known": ("known", "{:6.2f}"),
     "steps_per_second": ("steps/s", "{:7.0f}"),
     "minutes_left": ("min left", "{:8.1f}"),
 }
+OF_PLUS = ("n_cells", "known")
+NOT_OF_PLUS = ("merging_rate", "relaxation_rate", "entropy_weight")
 Row = dict[str, float]
 
 
 class Progress:
     """Writes one row per evaluation to the screen and to ``metrics.csv``."""
 
-    def __init__(self, folder: Path, rows: list[Row], tensorboard: bool) -> None:
+    def __init__(self, folder: Path, rows: list[Row], tensorboard: bool, method: str = "ours") -> None:
+        hidden = NOT_OF_PLUS if method == "plus" else OF_PLUS
+        self._columns = {name: column for name, column in COLUMNS.items() if name not in hidden}
         self._path = folder / "metrics.csv"
         self.rows = rows
         self._live = sys.stdout.isatty()
         self._last_live = 0.0
         self._writer = _tensorboard(folder) if tensorboard else None
-        print("  ".join(title.rjust(_width(form)) for title, form in COLUMNS.values()), flush=True)
+        print("  ".join(title.rjust(_width(form)) for title, form in self._columns.values()), flush=True)
 
     def tick(self, done: int, total: int, seconds_left: float) -> None:
         """Refresh the live line, at most five times a second, and only on a terminal."""
@@ -51,7 +57,7 @@ class Progress:
         write_rows(self._path, self.rows)
         cells = [
             form.format(row[name]) if row.get(name, float("nan")) == row.get(name) else "-".rjust(_width(form))
-            for name, (_, form) in COLUMNS.items()
+            for name, (_, form) in self._columns.items()
         ]
         print(("\r" if self._live else "") + "  ".join(cells), flush=True)
         if self._writer is not None:

@@ -36,7 +36,7 @@ def load_models(config: PlanConfig[Any], checkpoint: Path | None) -> list[Model]
             f"python -m napsp.train --env {env_name}, then pass it with --checkpoint, or use --distance.ensemble"
         )
     if config.smooth and not model.distance.plain():
-        raise UserError("--smooth needs a distance of one plain network (--distance.head mlp); plan without it")
+        raise UserError("--smooth needs a distance of plain networks (--distance.head mlp); plan without it")
     ensemble = [load_model(path, env_name) for path in config.distance.ensemble]
     for path, member in zip(config.distance.ensemble, ensemble, strict=True):
         if member.distance is None:
