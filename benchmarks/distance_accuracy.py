@@ -1,7 +1,8 @@
 """How true is a distance? ``python -m benchmarks.distance_accuracy --env point_maze``.
 
-In mazes against exact search over the real dynamics, in other tasks against the best known steps
-(``benchmarks.best_known``, an upper bound). Rows land in ``results/distance_accuracy.csv``.
+In mazes against exact search over the real dynamics, in others against the best known steps
+(``benchmarks.best_known``, an upper bound). Rows land in ``results/distance_accuracy.csv``; with ``--methods``
+estimates are drawn over the truth beside them.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from napsp.config import preset
 from napsp.errors import UserError, run_command
 from napsp.storage.checkpoint import Model, load_model, shipped_model
 from napsp.storage.files import write_json
+from napsp.storage.record import save_figure
 from napsp.storage.revision import git_revision
 
 SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "triangle_rate", "triangle_rate_step", "distance_at_goal",
@@ -140,6 +142,24 @@ def straight_steps(env_name: str, probe: Probe) -> Steps:
     return steps
 
 
+def draw(path: Path, panels: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    """Estimates over true steps, a panel for each distance."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, len(panels), figsize=(3.2 * len(panels), 3.2), layout="constrained", squeeze=False)
+    most = max(truth[np.isfinite(truth)].max() for truth, _ in panels.values())
+    for axis, (name, (truth, estimate)) in zip(axes[0], panels.items(), strict=True):
+        use = np.isfinite(truth)
+        jitter = np.random.default_rng(0).uniform(-0.4, 0.4, use.sum())  # true steps are whole numbers
+        axis.scatter(truth[use] + jitter, estimate[use], s=2, alpha=0.25, linewidths=0, rasterized=True)
+        axis.plot([0, most], [0, most], color="black", linewidth=0.8)
+        axis.set(title=name, xlabel="true steps", ylabel="steps estimated", xlim=(0, most + 1), ylim=(0, 1.5 * most))
+    save_figure(figure, path)
+
+
 def subjects(options: AccuracyOptions, env_name: str) -> Iterator[Subject]:
     """Whom to measure."""
     if not options.methods:
@@ -166,17 +186,25 @@ def main() -> int:
     print(f"{env_name}: {len(known)} pairs, {known.mean():.1f} steps in the mean")
     print("method          seed  " + "  ".join(name.rjust(18) for name in SHOWN))
     sizes = {"n_starts": options.n_starts if in_maze else "", "n_goals": options.n_goals if in_maze else ""}
-    rows = []
+    rows, panels = [], {}
     if in_maze:
-        straight = figures_of(probe, straight_steps(env_name, probe), np.random.default_rng(0))
+        line = straight_steps(env_name, probe)
+        panels[STRAIGHT] = (probe.steps, line(probe.observations, probe.actions, probe.goals))
+        straight = figures_of(probe, line, np.random.default_rng(0))
         rows.append({"method": STRAIGHT, "seed": "", "training": "", "revision": git_revision(), **straight})
     for subject, model in chosen:
-        found = figures_of(probe, learned_steps(model), np.random.default_rng(0))
+        steps = learned_steps(model)
+        found = figures_of(probe, steps, np.random.default_rng(0))
+        name = f"{subject.training['method']}, seed {subject.seed}"
+        panels.setdefault(name, (probe.steps, steps(probe.observations, probe.actions, probe.goals)))
         rows.append({"method": subject.training["method"], "seed": subject.seed, "training": as_text(subject.training),
                      "revision": git_revision(), "trained_at": model.header["revision"], **found})  # fmt: skip
     for row in rows:
         print(f"{row['method']:14s}  {row['seed']!s:>4s}  " + "  ".join(f"{row[name]:18.3f}" for name in SHOWN))
     replace_results(RESULTS / "distance_accuracy.csv", KEY, [{"env": env_name, **sizes, **row} for row in rows])
+    if options.methods:
+        wanted = [STRAIGHT, *(f"{method}, seed {options.seeds[0]}" for method in options.methods)]
+        draw(RESULTS / f"distance_accuracy_{env_name}.png", {name: panels[name] for name in wanted if name in panels})
     if options.json is not None:
         learned: list[dict[str, Any]] = rows[-len(chosen) :]
         names = [name for name, value in learned[0].items() if isinstance(value, float)]

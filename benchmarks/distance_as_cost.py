@@ -32,7 +32,9 @@ from benchmarks.curves import Line, full_line_of, is_current
 from benchmarks.planned import COLUMN, column
 from napsp import envs as tasks
 from napsp.config import preset
-from napsp.data.outcomes import evaluate
+from napsp.data.collect import roll
+from napsp.data.episodes import concatenate
+from napsp.data.outcomes import outcomes
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
 from napsp.statistics import describe, wilson_interval
@@ -103,11 +105,20 @@ class CostOptions:
     """Samples of the planner."""
     variants: tuple[str, ...] = ()
     """Which lines; default all that the task has."""
+    anywhere: bool = False
+    """Mazes: start and goal from all rooms alike, not the task's own."""
+
+    @property
+    def starts(self) -> str:
+        """Column of a row: empty for the task's own starts and goals."""
+        return "anywhere" if self.anywhere else ""
 
 
-def plan_episodes(session: Session, seeds: list[int]) -> tuple[list[bool], list[int], float]:
+def plan_episodes(
+    session: Session, seeds: list[int], reset: dict[str, Any] | None = None
+) -> tuple[list[bool], list[int], float]:
     """Success per episode, first hits, and median milliseconds per plan."""
-    results = [session.run_episode(seed) for seed in seeds]
+    results = [session.run_episode(seed, options=reset) for seed in seeds]
     hits = [r.first_hit for r in results if r.first_hit is not None]
     return [r.success for r in results], hits, float(np.median(np.concatenate([r.plan_ms for r in results])))
 
@@ -123,15 +134,17 @@ def plan_config(env_name: str, variant: str, options: CostOptions) -> PlanConfig
 def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> dict[str, Any]:
     """Run one cell of the table."""
     seeds, config = [options.seed + i for i in range(options.episodes)], plan_config(env_name, variant, options)
+    reset = {"anywhere": True} if options.anywhere else None
     if config is None:
         assert checkpoint is not None
         model, env = load_model(checkpoint, env_name), tasks.make(env_name)
-        result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.episode_length)
+        parts = [roll([env], GreedyPolicy(model.policy), [s], model.config.episode_length, [reset]) for s in seeds]
+        result = outcomes(env, concatenate(parts))
         success, hits = result.reached[:, -1].tolist(), result.first_hits[~np.isnan(result.first_hits)].tolist()
         milliseconds = 0.0
     else:
         session = Session.open(config, RunOptions(seed=options.seed, checkpoint=checkpoint))
-        success, hits, milliseconds = plan_episodes(session, seeds)
+        success, hits, milliseconds = plan_episodes(session, seeds, reset)
         session.close()
     return {
         "success_rate": float(np.mean(success)),
@@ -141,6 +154,11 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
     }
 
 
+def rows_of(path: Path, options: CostOptions) -> list[dict[str, str]]:
+    """Rows with these starts; the oldest ones do not say that theirs are the task's own."""
+    return [row for row in read_results(path) if row.get("starts", "") == options.starts]
+
+
 def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
     """Rows of the default episodes and samples whose planner is today's, with the ``line`` of their training.
 
@@ -148,7 +166,7 @@ def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
     where no model is asked.
     """
     found: list[tuple[Line | None, dict[str, str]]] = []
-    for row in rows:
+    for row in ({"starts": "", **row} for row in rows):
         variant, options = VARIANTS.get(row["variant"]), CostOptions(env=row["env"])
         if variant is None:
             continue
@@ -161,11 +179,12 @@ def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
         wanted = Line(variant.method, usual_recipe(row["env"])) if variant.method else None
         if (line.of_today() if line else None) == wanted and bool(training) == bool(wanted):
             found.append((line, row))
-    measured = {(row["env"], row["variant"], line) for line, row in found}
+    measured = {(row["env"], row["variant"] + row["starts"], line) for line, row in found}
     return [
         {**row, "line": line}
         for line, row in found
-        if line is None or is_current(line, [m[2] for m in measured if m[2] and m[:2] == (row["env"], row["variant"])])
+        if line is None
+        or is_current(line, [m[2] for m in measured if m[2] and m[:2] == (row["env"], row["variant"] + row["starts"])])
     ]
 
 
@@ -180,6 +199,8 @@ def main() -> int:
     length = {"n_episodes": options.training_episodes} if options.training_episodes is not None else {}
     recipe = options.recipe or usual_recipe(env_name)
     is_maze = hasattr(tasks.make(env_name).unwrapped, "shortest_steps")
+    if options.anywhere and not is_maze:
+        raise UserError(f"--anywhere is for mazes; {env_name} has its own starts and goals")
     for variant in options.variants or [name for name in VARIANTS if is_maze or "shortest" not in name]:
         method = VARIANTS[variant].method
         for training_seed in options.training_seeds if method else ("",):
@@ -190,12 +211,12 @@ def main() -> int:
                 COLUMN: column(plan_config(env_name, variant, options)),
                 "samples": options.samples, "episodes": options.episodes, "seed": options.seed,
             }  # fmt: skip
-            row = find(read_results(path), key)
+            row = find(rows_of(path, options), key)
             if row is None:
                 checkpoint = checkpoint_of(config) if config else None
                 figures = run_cell(env_name, variant, checkpoint, options)
-                append_result(path, {**key, **figures, "revision": git_revision()})
-                row = find(read_results(path), key)
+                append_result(path, {**key, "starts": options.starts, **figures, "revision": git_revision()})
+                row = find(rows_of(path, options), key)
             assert row is not None
             rate, n = float(row["success_rate"]), options.episodes
             interval = describe(rate, wilson_interval(round(rate * n), n))

@@ -86,14 +86,16 @@ def _truth(path: Path, world: Any, starts: np.ndarray, actions: np.ndarray, goal
     Raises:
         UserError: the file answers other questions.
     """
-    asked = hashlib.sha256(b"".join(np.round(part, 9).tobytes() for part in (starts, actions, goals))).hexdigest()
+    tolerance = world.distance_threshold / world.scale  # what the task itself counts as being there
+    questions = (starts, actions, goals, np.array(tolerance))
+    asked = hashlib.sha256(b"".join(np.round(part, 9).tobytes() for part in questions)).hexdigest()
     if path.is_file():
         stored = json.loads(path.read_text())
         if stored["asked"] != asked:
             raise UserError(f"{path} answers other questions; remove it, and the search begins again")
         steps = np.array(stored["steps"], float)
         return np.where(steps < 0, np.inf, steps)
-    search, steps = MazeSearch(world), np.empty((*actions.shape[:2], goals.shape[1]))
+    search, steps = MazeSearch(world, tolerance=tolerance), np.empty((*actions.shape[:2], goals.shape[1]))
     for i, state in enumerate(starts):
         print(f"\rsearching from start {i + 1} of {len(starts)}", end="", flush=True)
         steps[i] = np.inf  # not asked

@@ -47,7 +47,7 @@ def _glance(env: str) -> list[str]:
     straight = [
         _success(row)
         for row in distance_as_cost.comparable(read_results(RESULTS / "distance_as_cost.csv"))
-        if (row["env"], row["variant"]) == (env, "euclidean, mean along the plan")
+        if (row["env"], row["variant"], row["starts"]) == (env, "euclidean, mean along the plan", "")
     ]
     line = straight[-1] if straight else "not run"
     policy, plans, alone = (found.get(cell) for cell in (("policy", "0"), (planner, "1"), (planner, "0")))
@@ -76,7 +76,8 @@ def cost_table() -> list[str]:
     """Costs for planning, pooled over training seeds."""
     groups: dict[tuple[str, str, str], list[dict[str, str]]] = defaultdict(list)
     for row in distance_as_cost.comparable(read_results(RESULTS / "distance_as_cost.csv")):
-        groups[row["env"], row["variant"], row["line"].name if row["line"] else "-"].append(row)
+        variant = row["variant"] + (", uniform starts and goals" if row["starts"] else "")
+        groups[row["env"], variant, row["line"].name if row["line"] else "-"].append(row)
     lines = [
         "### Which cost plans (`python -m benchmarks.distance_as_cost --env NAME`)",
         "",

@@ -71,8 +71,8 @@ def test_a_mazes_probe_is_balanced_and_kept(tmp_path, monkeypatch):
     asked = []
 
     class Search:
-        def __init__(self, world):
-            pass
+        def __init__(self, world, tolerance):
+            assert tolerance == pytest.approx(0.1), "the task's own radius"
 
         def step(self, states, actions):
             asked.append(states[0])

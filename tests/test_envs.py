@@ -192,3 +192,16 @@ def test_numbers_of_an_action_that_change_nothing_are_known(name, worlds):
 
 def test_a_task_without_dynamics_is_said_to_use_all_numbers():
     assert used_actions(SimpleNamespace(action_space=SimpleNamespace(shape=(3,)))).tolist() == [True] * 3
+
+
+def test_maze_episodes_may_begin_and_end_in_any_room(worlds):
+    world, rooms = worlds["point_maze"], set()
+    for seed in range(60):
+        seen, _ = world.reset(seed=seed, options={"anywhere": True})
+        places = np.array([seen["achieved_goal"], seen["desired_goal"]])
+        assert ((np.abs(places) > 0.1) & (np.abs(places) < 0.9)).all()
+        assert np.isfinite(world.shortest_steps(places[:1], places[1])).all()
+        rooms.add(tuple(np.sign(places).ravel()))
+    assert len(rooms) > 12, "pairs of rooms"
+    seen, _ = world.reset(seed=0)
+    assert (seen["achieved_goal"] < 0).all() and (seen["desired_goal"] > 0).all(), "the task's own again"

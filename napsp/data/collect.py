@@ -32,7 +32,7 @@ class ExplorationConfig:
     patience: int = 100
     """After this many episodes, warm-up included, explorers pause while the data is too thin for a graph: in a space
     too wide for one they would go on for ever."""
-    anew: int = 25
+    anew: int = 200
     """Every so many of its episodes an explorer begins with a reset, wherever it got stuck."""
 
     def __post_init__(self) -> None:

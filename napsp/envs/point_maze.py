@@ -100,6 +100,7 @@ class PointMazeEnv(OpenLoopEnv):
         self.scale = scale
         self.model_spec = spec = _build_model(scale)
         super().__init__(PointMazeDynamics(spec.compile()), 0.1 * scale, render_mode)
+        self._anywhere = False
         self._paths: ShortestPaths | None = None
 
     def shortest_steps(self, positions: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -110,9 +111,19 @@ class PointMazeEnv(OpenLoopEnv):
             self._paths = ShortestPaths(self.scale, boxes, self.step_length)
         return self._paths.steps(positions, goal)
 
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
+        """As the task says; ``options={"anywhere": True}`` draws start and goal from all rooms alike."""
+        self._anywhere = bool((options or {}).get("anywhere", False))
+        return super().reset(seed=seed, options=options)
+
     def _start(self) -> None:
         """At rest in the lower left room; a goal in the upper right room."""
         mujoco.mj_resetData(self.model, self.data)
+        if self._anywhere:
+            signs = self.np_random.choice([-1.0, 1.0], (2, 2))
+            start, self.goal = signs * self.np_random.uniform(0.12, 0.88, (2, 2)) * self.scale
+            self.data.qpos[:] = start
+            return
         self.data.qpos[:] = self.np_random.uniform(-0.8, -0.2, 2) * self.scale
         self.goal = self.np_random.uniform(0.2, 0.8, 2) * self.scale
 

@@ -99,16 +99,18 @@ class Session:
         """Physics steps per control step: the environment's, and those of the model planned in."""
         return self.env.unwrapped.dynamics.substeps, self.controller.engine.dynamics.substeps
 
-    def run_episode(self, seed: int, watchers: Sequence[Watcher] = ()) -> EpisodeResult:
+    def run_episode(
+        self, seed: int, watchers: Sequence[Watcher] = (), options: dict[str, Any] | None = None
+    ) -> EpisodeResult:
         """Plan one full episode; it goes on after the goal is reached, to see whether it holds.
 
-        All chance comes from ``seed``: the episode is the same alone and in a series.
+        All chance comes from ``seed``: the episode is the same alone and in a series. ``options`` are the reset's.
 
         Raises:
             UserError: the environment observed numbers that are not finite.
         """
         started = time.monotonic()
-        observation, _ = self.env.reset(seed=seed)
+        observation, _ = self.env.reset(seed=seed, options=options)
         check_finite(observation, self.env_name)
         refresh(self.controller.engine.dynamics)
         self.controller.reset(np.random.default_rng([seed, 1]))  # not the stream that the environment draws from
