@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from napsp import envs as tasks
+from napsp.compiled import cpp_compiler
 from napsp.config import preset
 from napsp.data.collect import roll
 from napsp.data.episodes import concatenate
@@ -18,6 +19,7 @@ from napsp.execution import Execution
 from napsp.policy.descent import Descent, DescentBatch, distance_loss, policy_loss
 from napsp.policy.her import HERConfig, sample_relabelled
 from napsp.run import Run, new_learner
+from napsp.scaling import Scaling
 from napsp.train import train
 from tests.test_learner import learner, reward, walk
 from tests.tiny import learned, tiny
@@ -107,11 +109,11 @@ def test_the_graph_is_searched_now_and_then():
     assert subject.graph.built == [(6, 7)] * 3
 
 
-def descent(**changes):
+def descent(execution=None, **changes):
     torch.manual_seed(0)
     config = preset("fetch_wall", "plus", changes={"hidden": (16, 16), **changes})
     distance = LearnedDistance(SIZES, config.hidden, LENGTH, 8, config.distance, Execution())
-    return Descent(SIZES, config.hidden, config.policy, config.bootstrap, distance, config.distance.loss)
+    return Descent(SIZES, config.hidden, config.policy, config.bootstrap, distance, config.distance.loss, execution)
 
 
 def batch_of(n, seed=0, **changes):
@@ -162,6 +164,43 @@ def test_training_fits_what_is_known_and_the_policy_goes_downhill():
     assert float((steps - batch.known.clamp(min=2)).detach().abs().mean()) < 1.0
     assert float(agent.policy.mode(batch.observations, batch.goals)[:, 0].detach().mean()) < -0.8
     assert any(not torch.equal(p, before[name]) for name, p in agent.target_policy.named_parameters())
+
+
+def test_rescaling_reaches_all_its_networks():
+    scaling = Scaling(np.full(3, 2.0, np.float32), np.full(3, 3.0, np.float32), *np.ones((2, 2), np.float32))
+    agent = descent()
+    agent.rescale(scaling)
+    agent.learned.rescale(scaling)
+    for network in (*agent.networks().values(), *agent.learned.networks().values()):
+        np.testing.assert_array_equal(network.scaling.numbers().observation_scale, 3.0)
+
+
+def test_a_phase_is_its_scaled_batches_one_after_the_other():
+    whole, parts, raw = descent(), descent(), batch_of(24)
+    scaling = Scaling(np.full(3, 0.5, np.float32), np.full(3, 2.0, np.float32), *np.ones((2, 2), np.float32))
+    for agent in (whole, parts):
+        for network in (*agent.networks().values(), *agent.learned.networks().values()):
+            network.scaling.set(scaling)
+    figures = whole.train(raw, 8, torch.Generator())
+    scaled = raw._replace(
+        observations=(raw.observations - 0.5) / 2.0, next_observations=(raw.next_observations - 0.5) / 2.0,
+        goals=raw.goals - 1.0,
+    )  # fmt: skip
+    rows = [parts._update(*(part[8 * k : 8 * k + 8] for part in scaled)) for k in range(3)]
+    assert figures == {name: pytest.approx(np.mean([float(row[name]) for row in rows])) for name in rows[0]}
+    for mine, other in ((whole.policy, parts.policy), (whole.target_distance, parts.target_distance)):
+        torch.testing.assert_close(mine.state_dict(), other.state_dict())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(cpp_compiler() is None, reason="no C++ compiler")
+@pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated")
+def test_compiled_it_learns_the_same():
+    agents = [descent(), descent(execution=Execution(compiled=True))]
+    for agent in agents:
+        agent.train(batch_of(64), 16, torch.Generator())
+    torch.testing.assert_close(*(agent.distance.state_dict() for agent in agents), atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(*(agent.policy.state_dict() for agent in agents), atol=1e-5, rtol=1e-4)
 
 
 # -- explorers --
