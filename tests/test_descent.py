@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from test_learner import learner, reward, walk
+from tiny import learned, tiny
 
 from napsp import envs as tasks
 from napsp.compiled import cpp_compiler
@@ -21,8 +23,6 @@ from napsp.policy.her import HERConfig, sample_relabelled
 from napsp.run import Run, new_learner
 from napsp.scaling import Scaling
 from napsp.train import train
-from tests.test_learner import learner, reward, walk
-from tests.tiny import learned, tiny
 
 SIZES, LENGTH = (3, 2, 2), 50
 NAN, INF = float("nan"), float("inf")
