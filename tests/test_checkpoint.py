@@ -120,4 +120,4 @@ def test_files_of_the_first_format_are_read_under_todays_names(name, env, option
     model = load_model(name, env)
     assert model.config.identity() == {**options, "env": env, "method": "ours"}
     assert model.config.explore.epsilon == pytest.approx(0.28)
-    torch.testing.assert_close(model.distance.plain().net[0].weight, tensors["distance.net.0.weight"])
+    torch.testing.assert_close(model.distance.plain()[0].net[0].weight, tensors["distance.net.0.weight"])

@@ -257,7 +257,7 @@ def test_a_distance_that_smoothing_cannot_write_out_plans_without_it(tmp_path):
     train(tiny(**{"distance.head": "quasimetric"}), tmp_path / "run")
     arguments = ["--env", "point_maze", "--checkpoint", str(tmp_path / "run"), "--episodes", "1", "--samples", "8"]
     arguments += ["--no-video", "--out", str(tmp_path / "plans")]
-    with pytest.raises(UserError, match="--smooth needs a distance of one plain network"):
+    with pytest.raises(UserError, match="--smooth needs a distance of plain networks"):
         run("mppi", [*arguments, "--smooth"])
     assert run("mppi", arguments) == 0
 

@@ -150,7 +150,7 @@ def test_numbers_that_are_not_finite_leave_the_plan_alone(worlds):
     assert smoother.statistics.n_accepted == 0
     for solver in SOLVERS:
         world, observation, smoother = maze(worlds, config=SmoothingConfig(solver=solver))
-        smoother.distance._distance.layers[0][0][:] = np.nan  # d breaks inside the layer only
+        smoother.distance._members[0].layers[0][0][:] = np.nan  # d breaks inside the layer only
         smoother._solver = SOLVERS[solver](smoother.distance, 16, len(smoother._read))
         result = smoother(state, observation, actions, executed)
         np.testing.assert_array_equal(result.actions, actions)
