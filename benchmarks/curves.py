@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, learning_curves, usual_recipe
 from benchmarks.command import read_options
-from napsp.config import DEFAULT, METHODS, OF_THE_GATE, PAPER, identity_of, preset, recipes
+from napsp.config import DEFAULT, METHODS, NOT_OF_PLUS, OF_PLUS, OF_THE_GATE, PAPER, identity_of, preset, recipes
 from napsp.envs.cards import suite
 from napsp.errors import run_command
 from napsp.settings import flat, to_dict
@@ -92,9 +92,10 @@ def line_of(identity: Mapping[str, Any]) -> Line | None:
     idle = {"seed", "recipe", "n_episodes"}
     if method != "ours" or "counts.reached_bits" in identity:
         idle |= set(OF_THE_GATE)  # nobody asks for N(s, a, g), or it had one joint key
+    unasked = NOT_OF_PLUS if method == "plus" else OF_PLUS
     for recipe in recipes(env):
         usual = flat(to_dict(preset(env, method, recipe)))
-        different = {k for k, v in asked.items() if usual.get(k) != v} - idle
+        different = {k for k, v in asked.items() if usual.get(k) != v and not k.startswith(unasked)} - idle
         if different <= NAMED.keys():
             return Line(method, recipe, tuple((option, asked[option]) for option in NAMED if option in different))
     return None
