@@ -5,6 +5,7 @@ length, device and thread count, and runs them in turn. An update draws relabell
 critics, policy, entropy weight and targets. Beside the ratio stands the share of the device's
 own matrix-product speed that the arithmetic of an update makes up, and how many CPU seconds each
 took per second of the clock: less than a thread's worth means that it waited, for a GPU or for other work.
+On CUDA a further figure says for what share of an update's time the GPU ran no kernel.
 """
 
 from __future__ import annotations
@@ -114,6 +115,14 @@ def matrix_product_speed(width: int, n_rows: int, device: torch.device) -> float
     return 2.0 * n_rows * width * width / float(np.median(times))
 
 
+def kernel_seconds(job: Callable[[], object]) -> float:
+    """Seconds that the GPU spends in kernels and copies during a job; profiling slows the job, not the kernels."""
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as record:
+        job()
+        torch.cuda.synchronize()
+    return 1e-6 * sum(event.self_device_time_total for event in record.key_averages())
+
+
 def _wait(device: torch.device) -> None:
     if device.type == "cuda":
         torch.cuda.synchronize()
@@ -136,6 +145,10 @@ def measure(options: LearnerSpeedOptions, config: TrainConfig, execution: Execut
             seconds = time.perf_counter() - start
             rates[name].append(options.updates / seconds)
             shares[name].append((time.process_time() - cpu_start) / seconds)
+    outside = {}
+    if device.type == "cuda":
+        busy = kernel_seconds(jobs["ours"]) * float(np.median(rates["ours"])) / options.updates
+        outside = {"share_outside_kernels": 1.0 - busy}
     ratio = np.array(rates["ours"]) / np.array(rates["stable_baselines3"])
     work = arithmetic(config, sizes_of(tasks.make(config.env)))
     return {
@@ -143,6 +156,7 @@ def measure(options: LearnerSpeedOptions, config: TrainConfig, execution: Execut
         "ours_over_stable_baselines3": float(np.median(ratio)),
         "share_of_matrix_product_speed": float(np.median(np.array(rates["ours"]) * work / np.array(peaks))),
         **{f"{name}_cpu_seconds_per_second": float(np.median(values)) for name, values in shares.items()},
+        **outside,
     }
 
 

@@ -46,6 +46,8 @@ class SweepOptions:
     """Episodes collected per iteration; None takes each task's own. Updates are per iteration."""
     compiled: bool = False
     """Compile the losses, see napsp.train: faster cells. Each update differs in rounding only; runs drift apart."""
+    device: Literal["auto", "cpu", "cuda"] = "cpu"
+    """Where the networks are trained, see napsp.train; many processes can share one GPU."""
     again: bool = False
     """Also train cells whose curves are in results/runs already; those stay as they are there."""
     jobs: int = 1
@@ -72,7 +74,7 @@ def cells(options: SweepOptions) -> Iterator[TrainConfig]:
 
 def execution(options: SweepOptions) -> Execution:
     """How every cell is trained: on one thread, for that is fastest with one process per core."""
-    return Execution(compiled=options.compiled)
+    return Execution(options.device, options.compiled)
 
 
 def work(options: SweepOptions) -> None:

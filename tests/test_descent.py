@@ -103,7 +103,7 @@ def test_the_graph_is_searched_now_and_then():
 def descent(execution=None, **changes):
     torch.manual_seed(0)
     config = preset("fetch_wall", "plus", changes={"hidden": (16, 16), **changes})
-    distance = LearnedDistance(SIZES, config.hidden, LENGTH, 8, config.distance, Execution())
+    distance = LearnedDistance(SIZES, config.hidden, LENGTH, 8, config.distance, execution or Execution())
     return Descent(SIZES, config.hidden, config.policy, config.bootstrap, distance, config.distance.loss, execution)
 
 
@@ -192,3 +192,21 @@ def test_compiled_it_learns_the_same():
         agent.train(batch_of(64), 16, torch.Generator())
     torch.testing.assert_close(*(agent.distance.state_dict() for agent in agents), atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(*(agent.policy.state_dict() for agent in agents), atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+def test_on_cuda_it_learns_the_same():
+    """Both ways of training d: with the policy, as a graph from the fourth update on, and by labels alone."""
+    agents = [descent(), descent(execution=Execution("cuda"))]
+    rng = np.random.default_rng(1)
+    for _ in range(8):
+        seen = [rng.normal(size=(8, size)).astype(np.float32) for size in SIZES]
+        for agent in agents:
+            agent.train(batch_of(16), 8, torch.Generator())
+            rows = agent.learned.rows(*seen)
+            agent.learned.fit(rows, agent.learned.steps(rows) + 1.0, n_sampled=8)
+    networks = [{**agent.networks(), **agent.learned.networks()} for agent in agents]
+    for name, network in networks[0].items():
+        for found, expected in zip(networks[1][name].parameters(), network.parameters(), strict=True):
+            torch.testing.assert_close(found.cpu(), expected, atol=1e-4, rtol=1e-3, msg=name)
