@@ -52,19 +52,25 @@ class BootstrapConfig:
     """Which of the K slow distances of the next state goes into a label."""
     bound: bool = True
     """No label exceeds the steps after which the same episode was at the goal."""
+    stay: float = 0.0
+    """Share of the way back that a label adds where the next state is at the goal and the policy leaves it again. With 0
+    passing through a goal at speed is as good as coming to rest there; where one can stay, nothing is added."""
 
     def __post_init__(self) -> None:
         check_choice(self, pessimism=("largest", "mean", "smallest"))
+        check_ranges(self, stay=(0, 1))
 
     def reduce(self, members: Tensor) -> Tensor:
         """One distance ``(B,)`` from those of K networks ``(K, B)``."""
         return {"largest": members.amax, "mean": members.mean, "smallest": members.amin}[self.pessimism](0)
 
 
-def one_step_label(arrived: Tensor, next_steps: Tensor, observed: Tensor, known: Tensor, length: float) -> Tensor:
+def one_step_label(
+    arrived: Tensor, next_steps: Tensor, observed: Tensor, known: Tensor, length: float, stay: float = 0.0
+) -> Tensor:
     """Steps ``(B,)`` from a transition and what is known of the way on from its end; beyond the paper.
 
-        1                                    where s_t+1 is at the goal
+        1 + stay * (d_old(s_t+1) - 1)        where s_t+1 is at the goal, from which one step is least
         min(known, observed)                 where shortest paths over the replay lead there
         min(1 + d_old(s_t+1), observed)      elsewhere; both within [2, T], for one step was not enough
 
@@ -74,10 +80,12 @@ def one_step_label(arrived: Tensor, next_steps: Tensor, observed: Tensor, known:
         observed: steps after which the same episode was at the goal, else +inf, ``(B,)``.
         known: 1 + steps of the graph, NaN where there is no path, ``(B,)``.
         length: T.
+        stay: see :class:`BootstrapConfig`.
     """
+    at_goal = 1.0 + stay * (next_steps.clamp(max=length) - 1.0).clamp(min=0.0)
     steps = torch.where(known.isnan(), 1.0 + next_steps, known)
     steps = torch.minimum(steps, observed)
-    return torch.where(arrived, torch.ones_like(steps), steps.clamp(2.0, length))
+    return torch.where(arrived, at_goal, steps.clamp(2.0, length))
 
 
 def temporal_label(steps_between: Tensor, target_steps: Tensor, uncertainty: Tensor) -> Tensor:

@@ -121,7 +121,8 @@ def distance_loss(agent: Descent, batch: DescentBatch) -> tuple[Tensor, Metrics]
         actions = agent.target_policy.outputs(batch.next_observations, batch.goals).tanh()
         following = torch.cat([batch.next_observations, actions, batch.goals], dim=-1)
         next_steps = agent.bootstrap.reduce(agent.target_distance.members(following) * length)
-        labels = one_step_label(batch.arrived, next_steps, batch.observed, batch.known, length)
+        known = batch.arrived, next_steps, batch.observed, batch.known
+        labels = one_step_label(*known, length, agent.bootstrap.stay)
     rows = torch.cat([batch.observations, batch.actions, batch.goals], dim=-1)
     loss, metrics = agent._fit(agent.distance, Labelled(rows, labels, len(rows)))
     means = {"mean_distance": metrics["predictions"].mean(), "mean_label": labels.mean()}
