@@ -89,6 +89,7 @@ class Learner:
         generator: draws the agent's noise.
         scaled_at: episodes in D when the input scaling was estimated.
         graph: shortest paths over D, for method plus; None where cells of achieved goals do not tell states apart.
+        lasting: whether only arrivals that last bound a label of method plus.
     """
 
     config: TrainConfig
@@ -101,6 +102,7 @@ class Learner:
     generator: torch.Generator
     scaled_at: int = 0
     graph: ReplayGraph | None = None
+    lasting: bool = False
 
     # Within a phase of Algorithm 1 everything that labels depend on is frozen (d_old and the counts for d, d for
     # the policy), so a phase draws all its samples and computes their labels at once.
@@ -201,6 +203,11 @@ class Learner:
         if self.graph is not None:
             known = 1.0 + self.graph.steps(drawn.next_achieved, drawn.goals)
         observed = drawn.steps_between if config.bootstrap.bound else np.full_like(drawn.steps_between, np.inf)
+        if self.lasting:
+            known_after = np.isfinite(drawn.after).all(1)
+            left = ~known_after
+            left[known_after] = self.sparse_reward(drawn.after[known_after], drawn.goals[known_after]) != 0
+            observed = np.where(left, np.float32(np.inf), observed)
         raw = (drawn.observations, drawn.actions, drawn.next_observations, drawn.goals)
         batch = DescentBatch(*map(torch.from_numpy, (*raw, drawn.rewards == 0, observed, known)))
         return self.agent.train(batch, config.batch_size, self.generator) | {"known": float(np.isfinite(known).mean())}

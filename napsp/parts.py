@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -46,9 +48,11 @@ def build_learner(
     length, size = config.episode_length, config.batch_size
     distance = LearnedDistance(sizes, config.hidden, length, size, config.distance, execution)
     agent: Agent
+    obedient = config.method == "plus" and explained(warmup) >= config.graph.control
+    lasting = config.method == "plus" and not obedient and config.bootstrap.stay > 0
     if config.method == "plus":
-        loss = config.distance.loss
-        agent = Descent(sizes, config.hidden, config.policy, config.bootstrap, distance, loss, execution)
+        bootstrap = config.bootstrap if lasting else replace(config.bootstrap, stay=0.0)
+        agent = Descent(sizes, config.hidden, config.policy, bootstrap, distance, config.distance.loss, execution)
     else:
         agent = AGENTS[config.policy.agent](sizes, config.hidden, config.policy, config.lost_step, execution)
     scaling, buffer = scaling_of(warmup), EpisodeBuffer()
@@ -58,7 +62,5 @@ def build_learner(
     counts = CountModel(sizes, config.counts, scaling, rng, used_actions, counts_goals=config.method == "ours")
     buffer.extend(warmup)
     counts.update(warmup)
-    graph = None
-    if config.method == "plus" and config.graph.every and explained(warmup) >= config.graph.control:
-        graph = ReplayGraph(config.graph, sparse_reward)
-    return Learner(config, distance, counts, agent, buffer, sparse_reward, rng, generator, len(warmup), graph)
+    graph = ReplayGraph(config.graph, sparse_reward) if obedient and config.graph.every else None
+    return Learner(config, distance, counts, agent, buffer, sparse_reward, rng, generator, len(warmup), graph, lasting)

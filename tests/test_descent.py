@@ -7,10 +7,12 @@ from test_learner import learner, reward, walk
 
 from napsp.compiled import cpp_compiler
 from napsp.config import preset
+from napsp.data.episodes import Episodes
 from napsp.distance.labels import BootstrapConfig, one_step_label
 from napsp.distance.learned import LearnedDistance
 from napsp.errors import UserError
 from napsp.execution import Execution
+from napsp.parts import build_learner
 from napsp.policy.descent import Descent, DescentBatch, distance_loss, policy_loss
 from napsp.policy.her import HERConfig, sample_relabelled
 from napsp.scaling import Scaling
@@ -28,6 +30,13 @@ def test_a_label_is_the_least_of_what_is_known():
     assert found.tolist() == [1, 21, 7, 12, 50, 2, 7]
 
 
+def test_an_arrival_that_does_not_last_costs_a_share_of_the_way_back():
+    arrived, rest = torch.tensor([True, True, True, True, False]), torch.full((5,), INF)
+    next_steps = torch.tensor([0.5, 1.0, 5.0, 99.0, 5.0])
+    found = [one_step_label(arrived, next_steps, rest, rest * NAN, LENGTH, stay).tolist() for stay in (0.0, 0.5, 1.0)]
+    assert found == [[1, 1, 1, 1, 6], [1, 1, 3, 25.5, 6], [1, 1, 5, 50, 6]]
+
+
 def test_pessimism_is_over_the_networks():
     members = torch.tensor([[1.0, 8.0], [3.0, 4.0]])
     expected = {"largest": [3, 8], "mean": [2, 6], "smallest": [1, 4]}
@@ -41,6 +50,40 @@ def test_only_a_goal_of_the_same_episodes_future_has_observed_steps():
     assert 0.37 < own.mean() < 0.43
     np.testing.assert_array_equal(drawn.steps_between[own], (drawn.goals - drawn.observations)[own, 0])
     np.testing.assert_array_equal(drawn.next_achieved, drawn.next_observations)  # here phi(s) = s
+
+
+def test_what_comes_after_a_future_goal_is_the_episodes_next_state():
+    episodes = walk(6)
+    drawn = sample_relabelled(episodes, 4000, HERConfig(0.4, 0.5), reward, np.random.default_rng(0))
+    known = np.isfinite(drawn.after[:, 0])
+    at_the_end = drawn.goals[:, 0] % 1000 == episodes.actions.shape[1]
+    np.testing.assert_array_equal(known, np.isfinite(drawn.steps_between) & ~at_the_end)
+    np.testing.assert_array_equal(drawn.after[known], drawn.goals[known] + 1)
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_where_arrivals_should_last_only_those_that_did_bound_a_label(waits):
+    """One who walks on is nowhere two steps long; one who waits at 10 has lasting arrivals there alone."""
+    subject = learner("plus", everything=walk(6, waits=waits), **{"n_policy_updates": 8})
+    subject.lasting, handed = True, []
+    subject.agent.train = lambda batch, size, generator: handed.append(batch) or {}
+    subject.train_jointly()
+    bounded = handed[0].observed.isfinite()
+    assert bool(bounded.any()) is waits
+    assert (handed[0].goals[bounded] % 1000 == 10).all()
+
+
+def test_arrivals_should_last_where_actions_do_not_decide_at_once():
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (20, 10, 2)).astype(np.float32)
+    moved = np.concatenate([np.zeros((20, 1, 2)), actions.cumsum(1)], 1).astype(np.float32)
+    pushed = np.concatenate([np.zeros((20, 2, 2)), actions.cumsum(1).cumsum(1)[:, :-1]], 1).astype(np.float32)
+    for places, lasting, stay in ((moved, False, 0.5), (pushed, True, 0.5), (pushed, False, 0.0)):
+        config = preset("point_maze", "plus", changes={"hidden": (8,), "bootstrap.stay": stay})
+        episodes = Episodes(np.concatenate([places, places[..., :1]], 2), places, actions, places[:, 0])
+        built = build_learner(config, SIZES, episodes, reward, rng, torch.Generator())
+        assert built.lasting is lasting and built.agent.bootstrap.stay == (stay if lasting else 0)
+        assert (built.graph is not None) is (places is moved)
 
 
 class KnowsSome:

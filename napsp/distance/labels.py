@@ -52,9 +52,10 @@ class BootstrapConfig:
     """Which of the K slow distances of the next state goes into a label."""
     bound: bool = True
     """No label exceeds the steps after which the same episode was at the goal."""
-    stay: float = 0.0
-    """Share of the way back that a label adds where the next state is at the goal and the policy leaves it again. With 0
-    passing through a goal at speed is as good as coming to rest there; where one can stay, nothing is added."""
+    stay: float = 0.5
+    """Where actions do not decide at once how the achieved goal changes (``graph.control``), arrivals should last: this
+    share of the way back is added where the next state is at the goal and the policy leaves it again, and j - i bounds
+    a label only if the episode was still there a step later. 0 asks for no more than passing through."""
 
     def __post_init__(self) -> None:
         check_choice(self, pessimism=("largest", "mean", "smallest"))

@@ -40,6 +40,8 @@ class Transitions:
     rewards: np.ndarray
     steps_between: np.ndarray
     """Steps to the future state whose goal it is; +inf for goals that come from elsewhere."""
+    after: np.ndarray
+    """Achieved goals a step after that future state; NaN for goals from elsewhere, and where the episode ends there."""
 
 
 def sample_relabelled(
@@ -65,6 +67,8 @@ def sample_relabelled(
     relabel = chance < config.relabel_ratio
     goals[relabel] = episodes.achieved_goals[episode[relabel], future[relabel]]
     steps_between = np.where(relabel, future - t, np.inf).astype(np.float32)
+    after = episodes.achieved_goals[episode, np.minimum(future + 1, length)]
+    after[~relabel | (future == length)] = np.nan
     if config.other_goals_ratio:
         other = np.flatnonzero(chance > 1.0 - config.other_goals_ratio)
         wanted, achieved = other[::2], other[1::2]
@@ -81,4 +85,5 @@ def sample_relabelled(
         goals=goals,
         rewards=sparse_reward(next_achieved, goals),
         steps_between=steps_between,
+        after=after,
     )
