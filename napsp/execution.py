@@ -23,7 +23,7 @@ class Execution:
 
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Where the networks are trained; auto takes CUDA where there is one. With CUDA a phase's samples are moved once
-    and every update is replayed as a CUDA graph. Networks of 2 x 256 are worth a GPU from batches of about 1024 on."""
+    and every update is replayed as a CUDA graph: on an H100 14 times a core's updates at 2 x 256, batch 256."""
     compiled: bool = False
     """Compile the losses and their gradients (torch.compile; needs a C++ compiler, the first time takes a minute)."""
     threads: int = 1
