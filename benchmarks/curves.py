@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, learning_curves, usual_recipe
 from benchmarks.command import read_options
-from napsp.config import DEFAULT, METHODS, NOT_OF_PLUS, OF_PLUS, OF_THE_GATE, PAPER, identity_of, preset, recipes
+from napsp.config import DEFAULT, METHODS, OF_THE_GATE, PAPER, identity_of, idle_options, preset, recipes
 from napsp.envs.cards import suite
 from napsp.errors import run_command
 from napsp.settings import flat, to_dict
@@ -38,7 +38,7 @@ SUPERSEDED = ("counts.reached_bits", "policy.min_entropy_weight")
 """Of these, ways of older versions: such a line is shown until the same one without them is run."""
 TABLES_ONLY = ("episodes_per_iteration",)
 """Lines that figures leave out."""
-PALETTE = ("gray", "orange", "blue", "red", "purple")
+PALETTE = ("gray", "orange", "blue", "red", "purple", "brown")
 COLORS: dict[str, str] = {method: f"tab:{c}" for method, c in zip(METHODS, PALETTE, strict=True)}
 STYLES = ("-", "--", ":", "-.")
 TITLES = {
@@ -92,7 +92,7 @@ def line_of(identity: Mapping[str, Any]) -> Line | None:
     idle = {"seed", "recipe", "n_episodes"}
     if method != "ours" or "counts.reached_bits" in identity:
         idle |= set(OF_THE_GATE)  # nobody asks for N(s, a, g), or it had one joint key
-    unasked = NOT_OF_PLUS if method == "plus" else OF_PLUS
+    unasked = idle_options(method)
     for recipe in recipes(env):
         usual = flat(to_dict(preset(env, method, recipe)))
         different = {k for k, v in asked.items() if usual.get(k) != v and not k.startswith(unasked)} - idle
@@ -102,8 +102,8 @@ def line_of(identity: Mapping[str, Any]) -> Line | None:
 
 
 def expected_lines(env: str) -> list[Line]:
-    """What a task's comparison is made of: all methods, by its own recipe if it has one."""
-    return [Line(method, usual_recipe(env)) for method in METHODS]
+    """What a task's comparison is made of: all methods but the yardstick, by its own recipe if it has one."""
+    return [Line(method, usual_recipe(env)) for method in METHODS if method != "qrl"]
 
 
 def full_line_of(identity: Mapping[str, Any]) -> Line | None:

@@ -25,10 +25,11 @@ from napsp.errors import UserError
 from napsp.policy.agent import PolicyConfig
 from napsp.policy.agents import AGENTS
 from napsp.policy.her import HERConfig
+from napsp.policy.qrl import QRLConfig
 from napsp.settings import MANY, changed, check_choice, check_ranges, digest, flat, to_dict
 
 PAPER_METHODS = ("sparse", "ddl", "offpolicy_ddl", "ours")
-METHODS = (*PAPER_METHODS, "plus")
+METHODS = (*PAPER_METHODS, "plus", "qrl")
 PAPER = "paper"
 
 
@@ -47,7 +48,7 @@ class TrainConfig:
     method: str = "ours"
     """sparse: binary reward. ddl: on-policy temporal regression. offpolicy_ddl: eq. 4a.
     ours: eq. 4a and 4b (the paper). plus: beyond the paper, one pair of networks is distance and critic, with shortest
-    paths over the replay as labels where they are known."""
+    paths over the replay as labels where they are known. qrl: quasimetric RL, a yardstick."""
     recipe: str = PAPER
     """paper: the method as it stands there. manipulation: what pick and place is learned with beyond the paper, see
     docs/paper.md; the options that it changes can still be set one by one."""
@@ -83,6 +84,7 @@ class TrainConfig:
     triangular: TriangularConfig = field(default_factory=TriangularConfig)
     bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
     graph: GraphConfig = field(default_factory=GraphConfig)
+    qrl: QRLConfig = field(default_factory=QRLConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     her: HERConfig = field(default_factory=HERConfig)
     explore: ExplorationConfig = field(default_factory=ExplorationConfig)
@@ -98,8 +100,10 @@ class TrainConfig:
         updates = ("n_temporal_updates", "n_triangular_updates", "n_policy_updates")
         check_ranges(self, seed=(0, 2**31 - 1), **dict.fromkeys(at_least_one, (1, MANY)))
         check_ranges(self, **dict.fromkeys(updates, (0, MANY)))
-        if self.method == "plus" and self.policy.agent != "ddpg":
-            raise UserError("method plus has a deterministic policy of its own; leave out --policy.agent")
+        if self.jointly and self.policy.agent != "ddpg":
+            raise UserError(f"method {self.method} has a deterministic policy of its own; leave out --policy.agent")
+        if (self.method == "qrl") != (self.distance.head == "latent"):
+            raise UserError("--distance.head latent belongs to --method qrl alone, and qrl has no other")
         if not self.hidden or min(self.hidden) < 1:
             raise UserError(f"hidden is {self.hidden}; give at least one width of at least 1")
         if self.n_episodes <= self.n_warmup:
@@ -114,6 +118,11 @@ class TrainConfig:
     def episode_length(self) -> int:
         """T, control steps per episode; distances are learned in units of T."""
         return episode_length(self.env)
+
+    @property
+    def jointly(self) -> bool:
+        """Whether distance and policy learn from the same samples: the policy descends d, there is no other critic."""
+        return self.method in ("plus", "qrl")
 
     @property
     def learns_distance(self) -> bool:
@@ -141,12 +150,21 @@ NO_DIFFERENCE = ("seed", "recipe")
 """Options that are no part of a question: a recipe is the values that it sets."""
 OF_THE_GATE = ("counts.pair_bits", "counts.goal_cell", "counts.n_lattices")
 """How N(s, a, g) is counted, for which eq. 4b alone asks."""
-OF_PLUS = ("bootstrap.", "graph.", "explore.explorers", "explore.patience", "explore.anew")
-"""Options, or beginnings of their names, for which no other method asks."""
-NOT_OF_PLUS = ("temporal.", "triangular.", "n_temporal_updates", "n_triangular_updates", "policy.discount",
-               "policy.clip_values", "policy.clipped_double_q", "policy.entropy_weight",
-               "policy.min_entropy_weight")  # fmt: skip
-"""Options for which method plus does not ask."""
+OF_REGRESSION = ("temporal.", "triangular.", "n_temporal_updates", "n_triangular_updates", "policy.discount",
+                 "policy.clip_values", "policy.clipped_double_q", "policy.entropy_weight",
+                 "policy.min_entropy_weight")  # fmt: skip
+"""Options, or beginnings of their names, for which only the paper's methods ask."""
+OF_GRAPH = ("graph.", "explore.explorers", "explore.patience", "explore.anew")
+"""For which plus asks, and qrl for the sake of its explorers."""
+
+
+def idle_options(method: str) -> tuple[str, ...]:
+    """Options, or beginnings of their names, for which a method does not ask."""
+    if method == "plus":
+        return (*OF_REGRESSION, "qrl.")
+    if method == "qrl":
+        return (*OF_REGRESSION, "bootstrap.", "distance.loss", "distance.target_polyak", "policy.polyak")
+    return (*OF_GRAPH, "bootstrap.", "qrl.")
 
 
 def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -163,7 +181,7 @@ def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
     different = {name: value for name, value in found.items() if name not in usual or usual[name] != value}
     task = {"env": found.get("env", DEFAULT.env), "method": found.get("method", DEFAULT.method)}
     idle = (*NO_DIFFERENCE, *(() if task["method"] == "ours" else OF_THE_GATE))
-    idle += NOT_OF_PLUS if task["method"] == "plus" else OF_PLUS
+    idle += idle_options(task["method"])
     return {name: value for name, value in different.items() if not name.startswith(idle)} | task
 
 
@@ -188,6 +206,16 @@ PLUS: dict[str, Any] = {
 """What method plus differs in from the defaults, on every task."""
 
 
+QRL: dict[str, Any] = PLUS | {
+    "distance.head": "latent",
+    "distance.slow": False,
+    "distance.learning_rate": 1e-4,
+    "policy.learning_rate": 3e-4,
+}
+"""What method qrl differs in: collection, sizes of layers and amounts of work are those of plus."""
+JOINTLY = {"plus": PLUS, "qrl": QRL}
+
+
 def preset(
     env: str,
     method: str = "ours",
@@ -208,8 +236,8 @@ def preset(
     values |= chosen.changes
     if method != "sparse":
         values |= chosen.with_distance
-    if method == "plus":
-        values |= PLUS | (dict(CARDS[env].plus) if env in CARDS else {})
+    if method in JOINTLY:
+        values |= JOINTLY[method] | (dict(CARDS[env].plus) if env in CARDS else {})
     values |= {"env": env, "method": method, "recipe": recipe, **(changes or {}), **overrides}
     return changed(DEFAULT, values)
 

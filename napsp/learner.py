@@ -204,12 +204,12 @@ class Learner:
             known = 1.0 + self.graph.steps(drawn.next_achieved, drawn.goals)
         observed = drawn.steps_between if config.bootstrap.bound else np.full_like(drawn.steps_between, np.inf)
         if self.lasting:
-            known_after = np.isfinite(drawn.after).all(1)
-            left = ~known_after
-            left[known_after] = self.sparse_reward(drawn.after[known_after], drawn.goals[known_after]) != 0
-            observed = np.where(left, np.float32(np.inf), observed)
+            followed = np.isfinite(drawn.after).all(1)
+            stayed = np.zeros(n_sampled, bool)
+            stayed[followed] = self.sparse_reward(drawn.after[followed], drawn.goals[followed]) == 0
+            observed = np.where(stayed, observed, np.float32(np.inf))
         raw = (drawn.observations, drawn.actions, drawn.next_observations, drawn.goals)
-        batch = DescentBatch(*map(torch.from_numpy, (*raw, drawn.rewards == 0, observed, known)))
+        batch = DescentBatch(*map(torch.from_numpy, (*raw, drawn.rewards == 0, observed, known, drawn.next_achieved)))
         return self.agent.train(batch, config.batch_size, self.generator) | {"known": float(np.isfinite(known).mean())}
 
     def extend_buffer(self, recent: Episodes) -> None:

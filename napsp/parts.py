@@ -18,6 +18,7 @@ from napsp.learner import Learner, scaling_of
 from napsp.policy.agent import Agent
 from napsp.policy.agents import AGENTS
 from napsp.policy.descent import Descent
+from napsp.policy.qrl import QRL
 
 
 def build_learner(
@@ -48,11 +49,13 @@ def build_learner(
     length, size = config.episode_length, config.batch_size
     distance = LearnedDistance(sizes, config.hidden, length, size, config.distance, execution)
     agent: Agent
-    obedient = config.method == "plus" and explained(warmup) >= config.graph.control
+    obedient = config.jointly and explained(warmup) >= config.graph.control
     lasting = config.method == "plus" and not obedient and config.bootstrap.stay > 0
     if config.method == "plus":
         bootstrap = config.bootstrap if lasting else replace(config.bootstrap, stay=0.0)
         agent = Descent(sizes, config.hidden, config.policy, bootstrap, distance, config.distance.loss, execution)
+    elif config.method == "qrl":
+        agent = QRL(sizes, config.hidden, config.policy, config.qrl, distance, execution)
     else:
         agent = AGENTS[config.policy.agent](sizes, config.hidden, config.policy, config.lost_step, execution)
     scaling, buffer = scaling_of(warmup), EpisodeBuffer()

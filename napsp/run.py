@@ -83,7 +83,7 @@ class Run:
             revisions = list(dict.fromkeys([*saved[1]["revisions"], *revisions]))
             print(f"continuing {folder} at episode {len(learner.buffer)}")
         explorers = None
-        if config.method == "plus" and config.graph.every and learner.graph is None:
+        if config.jointly and config.graph.every and learner.graph is None:
             share = explained(learner.buffer.episodes()[: config.n_warmup])
             print(f"actions explain {share:.2f} of how the achieved goal changes: neither graph nor explorers below "
                   f"{config.graph.control:g} (--graph.control 0 forces them)")  # fmt: skip

@@ -41,14 +41,14 @@ def train(
             recent = run.collect(learner.agent.policy)  # 3: D_last
             learner.counts.update(recent)  # 4
             metrics: Row = {}
-            if config.method == "plus":  # beyond the paper: one pair of networks is distance and critic
+            if config.jointly:  # beyond the paper: the same networks are distance and critic
                 metrics |= learner.search_graph(iteration) | learner.train_jointly()
             elif config.learns_distance:
                 metrics |= learner.train_temporal(recent)  # 5-8: eq. 4a
                 learner.update_target()  # 9
             if config.method == "ours":
                 metrics |= learner.train_triangular(recent)  # 10-17: eq. 3, 4b
-            if config.method != "plus":
+            if not config.jointly:
                 metrics |= learner.train_policy()  # 18-21
             learner.extend_buffer(recent)  # 22
             if run.finish_iteration(iteration, metrics):

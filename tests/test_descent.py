@@ -153,6 +153,7 @@ def descent(execution=None, **changes):
 def batch_of(n, seed=0, **changes):
     generator = torch.Generator().manual_seed(seed)
     rows = [torch.randn(n, size, generator=generator) for size in (3, 2, 3, 2)]
+    changes = {"next_achieved": torch.randn(n, 2, generator=generator), **changes}
     known = {"arrived": torch.zeros(n, dtype=torch.bool), "observed": torch.full((n,), INF)}
     return DescentBatch(*rows, **{**known, "known": torch.full((n,), NAN), **changes})
 

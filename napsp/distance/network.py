@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from napsp.distance.quasimetric import QuasimetricHead
+from napsp.distance.quasimetric import LatentHead, QuasimetricHead
+from napsp.errors import UserError
 from napsp.networks import InputScaling, first_linear, joined_columns, mlp
 from napsp.settings import TINY, check_choice, check_ranges
 
@@ -22,7 +23,8 @@ class DistanceConfig:
     learning_rate: float = 1e-3
     """Adam's step size."""
     head: str = "mlp"
-    """mlp, or quasimetric: distances that keep the triangle inequality by construction (beyond the paper)."""
+    """mlp; beyond the paper: quasimetric, whose distances keep the triangle inequality by construction, or latent, the
+    one of quasimetric RL, which predicts where an action leads."""
     output: Literal["linear", "softplus"] = "linear"
     """Output layer of d / T of the mlp."""
     unit: Literal["episode", "step"] = "episode"
@@ -43,6 +45,8 @@ class DistanceConfig:
     def __post_init__(self) -> None:
         check_ranges(self, learning_rate=(TINY, 1), n_members=(1, 100), target_polyak=(TINY, 1))
         check_choice(self, head=tuple(HEADS), output=("linear", "softplus"), unit=("episode", "step"))
+        if self.head == "latent" and self.unit != "step":
+            raise UserError("--distance.head latent speaks in steps; add --distance.unit step")
 
 
 class MLPHead(nn.Module):
@@ -69,6 +73,7 @@ class MLPHead(nn.Module):
 HEADS: dict[str, Callable[[tuple[int, int, int], tuple[int, ...], DistanceConfig], Any]] = {
     "mlp": lambda sizes, hidden, config: MLPHead(sizes, hidden, config.layer_norm, config.output),
     "quasimetric": lambda sizes, hidden, config: QuasimetricHead(sizes, hidden, config.layer_norm),
+    "latent": lambda sizes, hidden, config: LatentHead(sizes, hidden, config.layer_norm),
 }
 """Modules that map scaled and joined rows ``(B, O + A + G)`` to d in ``unit`` ``(B,)``."""
 

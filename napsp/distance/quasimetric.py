@@ -46,6 +46,53 @@ class QuasimetricHead(nn.Module):
         yield first_linear(self.goal), {"goal": slice(None)}
 
 
+LATENT = 128  # numbers of a latent
+
+
+class LatentHead(nn.Module):
+    """d(s, a, g) = 1 + IQE(P(z + F(z, a)), P(h(g))), z = f(s), in steps: latent dynamics, and the way on from there.
+
+    Wang et al. 2023, section 3.4; the IQE weighs mean and maximum of its components.
+
+    Args:
+        sizes: of observation, action and goal.
+        hidden: widths of the hidden layers of f, F and h; P has the first alone.
+        layer_norm: normalise each hidden layer.
+    """
+
+    def __init__(self, sizes: tuple[int, int, int], hidden: tuple[int, ...], layer_norm: bool = False) -> None:
+        super().__init__()
+        self._n_observation, self._n_action, self._n_goal = sizes
+        self.observation = mlp(self._n_observation, hidden, LATENT, layer_norm)
+        self.goal = mlp(self._n_goal, hidden, LATENT, layer_norm)
+        self.dynamics = mlp(LATENT + self._n_action, hidden, LATENT, layer_norm)
+        with torch.no_grad():
+            for parameter in self.dynamics[-1].parameters():
+                parameter.zero_()  # to begin with, nothing moves
+        self.projector = mlp(LATENT, hidden[:1], N_COMPONENTS * COMPONENT_SIZE, layer_norm)
+        self.mixture = nn.Parameter(torch.zeros(()))  # logit of the mean's weight against the maximum's
+
+    def after(self, latents: Tensor, actions: Tensor) -> Tensor:
+        """Latents a step later ``(B, LATENT)``."""
+        return latents + self.dynamics(torch.cat([latents, actions], dim=-1))
+
+    def distance(self, start: Tensor, end: Tensor) -> Tensor:
+        """Steps ``(B,)`` between latents ``(B, LATENT)``."""
+        ends = (self.projector(x).unflatten(-1, (N_COMPONENTS, COMPONENT_SIZE)) for x in (start, end))
+        components, share = interval_lengths(*ends), self.mixture.sigmoid()
+        return share * components.mean(-1) + (1.0 - share) * components.amax(-1)
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Steps ``(B,)`` of scaled and joined rows ``(B, O + A + G)``."""
+        observations, actions, goals = inputs.split((self._n_observation, self._n_action, self._n_goal), dim=-1)
+        return 1.0 + self.distance(self.after(self.observation(observations), actions), self.goal(goals))
+
+    def readers(self) -> Iterator[tuple[nn.Linear, dict[str, slice]]]:
+        """See :class:`napsp.networks.Scaled`."""
+        yield first_linear(self.observation), {"observation": slice(None)}
+        yield first_linear(self.goal), {"goal": slice(None)}
+
+
 def interval_lengths(x: Tensor, y: Tensor) -> Tensor:
     """Length of the union of the intervals from x_i to max(x_i, y_i), ``(..., k)`` -> ``(...)``: a quasimetric."""
     starts, order = x.sort(-1)

@@ -11,7 +11,7 @@ from napsp.distance.labels import BootstrapConfig, one_step_label
 from napsp.distance.learned import LearnedDistance
 from napsp.distance.losses import LOSSES, Labelled
 from napsp.execution import Execution, Slow, descend, held, mean
-from napsp.networks import rescale
+from napsp.networks import InputScaling, rescale
 from napsp.policy.actors import DeterministicPolicy
 from napsp.policy.agent import PolicyConfig
 from napsp.scaling import Scaling
@@ -30,6 +30,7 @@ class DescentBatch(NamedTuple):
         arrived: whether the next state is at the goal, bool ``(B,)``.
         observed: steps after which the same episode was at the goal, ``(B,)``; +inf where it was not.
         known: 1 + steps of the graph from the next state, ``(B,)``; NaN where it knows no path.
+        next_achieved: achieved goal of the next state, ``(B, G)``.
     """
 
     observations: Tensor
@@ -39,6 +40,21 @@ class DescentBatch(NamedTuple):
     arrived: Tensor
     observed: Tensor
     known: Tensor
+    next_achieved: Tensor
+
+    def scaled(self, scaling: InputScaling) -> DescentBatch:
+        """The same as the networks read it, on their device."""
+        device = scaling.observation_mean.device
+        rows = DescentBatch(*(part.to(device) for part in self))
+        observations, goals = scaling(rows.observations, rows.goals)
+        following, achieved = scaling(rows.next_observations, rows.next_achieved)
+        return rows._replace(
+            observations=observations, goals=goals, next_observations=following, next_achieved=achieved
+        )
+
+    def split(self, size: int) -> list[DescentBatch]:
+        """Batches of ``size`` transitions (views)."""
+        return [DescentBatch(*part) for part in zip(*(rows.split(size) for rows in self), strict=True)]
 
 
 class Descent:
@@ -80,13 +96,7 @@ class Descent:
     def train(self, transitions: DescentBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
         """Update everything once per batch of raw transitions ``(n * batch_size, .)``; figures to log."""
         del generator  # deterministic
-        scaling = self.policy.scaling
-        device = scaling.observation_mean.device
-        rows = DescentBatch(*(part.to(device) for part in transitions))
-        observations, goals = scaling(rows.observations, rows.goals)
-        following = scaling(rows.next_observations, rows.goals)[0]
-        rows = rows._replace(observations=observations, goals=goals, next_observations=following)
-        figures = [self._update(*batch) for batch in zip(*(part.split(batch_size) for part in rows), strict=True)]
+        figures = [self._update(*batch) for batch in transitions.scaled(self.policy.scaling).split(batch_size)]
         return {name: mean([row[name] for row in figures]) for name in figures[0]}
 
     def _update_once(self, *tensors: Tensor) -> Metrics:

@@ -35,7 +35,7 @@ class Progress:
     """Writes one row per evaluation to the screen and to ``metrics.csv``."""
 
     def __init__(self, folder: Path, rows: list[Row], tensorboard: bool, method: str = "ours") -> None:
-        hidden = NOT_OF_PLUS if method == "plus" else OF_PLUS
+        hidden = NOT_OF_PLUS if method in ("plus", "qrl") else OF_PLUS
         self._columns = {name: column for name, column in COLUMNS.items() if name not in hidden}
         self._path = folder / "metrics.csv"
         self.rows = rows
