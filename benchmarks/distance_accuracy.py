@@ -2,7 +2,7 @@
 
 In mazes against exact search over the real dynamics, in others against the best known steps
 (``benchmarks.best_known``, an upper bound). Rows land in ``results/distance_accuracy.csv``; with ``--methods``
-estimates are drawn over the truth beside them.
+estimates are drawn over the truth beside them. Of ``sparse`` it is the critic, read as steps.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from scipy.stats import pearsonr, spearmanr
 from benchmarks.best_known import known_probe
 from benchmarks.cells import RESULTS, as_text, replace_results, usual_recipe
 from benchmarks.command import read_options
+from benchmarks.critic_steps import critic_steps
 from benchmarks.maze_probe import Probe, maze_probe
 from benchmarks.subjects import Subject
 from napsp import envs as tasks
@@ -177,9 +178,6 @@ def main() -> int:
     env_name = tasks.canonical_name(options.env)
     torch.set_num_threads(1)
     chosen = [(subject, load_model(subject.checkpoint(), env_name)) for subject in subjects(options, env_name)]
-    for subject, model in chosen:
-        if model.distance is None:
-            raise UserError(f"{subject.source} holds no distance (it was trained with --method sparse)")
     in_maze = env_name.startswith("point_maze")
     probe = maze_probe(env_name, options.n_starts, options.n_goals) if in_maze else known_probe(env_name)
     known = probe.steps[np.isfinite(probe.steps)]
@@ -193,7 +191,7 @@ def main() -> int:
         straight = figures_of(probe, line, np.random.default_rng(0))
         rows.append({"method": STRAIGHT, "seed": "", "training": "", "revision": git_revision(), **straight})
     for subject, model in chosen:
-        steps = learned_steps(model)
+        steps = learned_steps(model) if model.distance else critic_steps(subject.checkpoint(), model)
         found = figures_of(probe, steps, np.random.default_rng(0))
         name = f"{subject.training['method']}, seed {subject.seed}"
         panels.setdefault(name, (probe.steps, steps(probe.observations, probe.actions, probe.goals)))
