@@ -30,11 +30,12 @@ from napsp.storage.record import save_figure
 NAMED = {
     "counts.reached_bits": "one key",
     "policy.min_entropy_weight": "alpha >= {}",
+    "bootstrap.stay": "stay {}",
     "temporal.first_arrival": "first arrival",
     "episodes_per_iteration": "{} episodes per iteration",
 }
 """Options that may differ from the recipe's in a line of its own, where such runs exist, and what they are called."""
-SUPERSEDED = ("counts.reached_bits", "policy.min_entropy_weight")
+SUPERSEDED = ("counts.reached_bits", "policy.min_entropy_weight", "bootstrap.stay")
 """Of these, ways of older versions: such a line is shown until the same one without them is run."""
 TABLES_ONLY = ("episodes_per_iteration",)
 """Lines that figures leave out."""

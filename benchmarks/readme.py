@@ -10,6 +10,7 @@ from benchmarks import tables_planning as planning
 from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.command import read_options
+from benchmarks.tables_plus import ablation_table
 from napsp.errors import run_command
 from napsp.storage.files import write_atomically
 
@@ -18,8 +19,8 @@ START, END = "<!-- results:start -->", "<!-- results:end -->"
 OPEN = (planning.glance_table, training.learning_table)
 FOLDED = (
     planning.cost_table, planning.versus_table, planning.smoothing_table, training.training_table,
-    training.accuracy_table, training.coverage_table, training.gate_table, speed.speed_table, speed.throughput_table,
-    speed.learner_table,
+    training.accuracy_table, ablation_table, training.coverage_table, training.gate_table, speed.speed_table,
+    speed.throughput_table, speed.learner_table,
 )  # fmt: skip
 """Tables that a reader opens when interested."""
 

@@ -131,10 +131,10 @@ def test_tables_leave_out_rows_of_other_settings(module, file, changes):
 def test_first_episode_of_a_success_rate_is_a_median_in_which_never_counts():
     runs = [{"curve": [{"episodes": e, "success_rate": r} for e, r in zip((100, 200, 300), rates, strict=True)]}
             for rates in ((0.0, 0.6, 0.4), (0.5, 1.0, 1.0), (0.0, 0.0, 0.9))]  # fmt: skip
-    assert tables_training._first_at(runs, 0.5) == "200 (3 of 3)"
-    assert tables_training._first_at(runs, 0.9) == "300 (2 of 3)"
-    assert tables_training._first_at(runs, 1.0) == "never (1 of 3)"
-    assert tables_training._first_at(runs[::2], 1.0) == "never"
+    assert tables_training.first_at(runs, 0.5) == "200 (3 of 3)"
+    assert tables_training.first_at(runs, 0.9) == "300 (2 of 3)"
+    assert tables_training.first_at(runs, 1.0) == "never (1 of 3)"
+    assert tables_training.first_at(runs[::2], 1.0) == "never"
     assert tables_training._over_seeds([{"max_reward": -0.5}, {}], "max_reward") == "-0.50 (1 seeds)"
 
 
