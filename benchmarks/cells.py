@@ -121,9 +121,12 @@ def training_beside(checkpoint: Path | None, env: str) -> tuple[dict[str, Any], 
     return recorded_training(folder)
 
 
-def shipped_training(env: str) -> tuple[dict[str, Any], int] | None:
-    """What the model that ships for a task was trained with, and its seed; None if none ships."""
-    folder = SHIPPED / file_name(env)
+def shipped_training(env: str, variant: str = "") -> tuple[dict[str, Any], int] | None:
+    """What the model that ships for a task was trained with, and its seed; None if none ships.
+
+    ``variant`` is the rest of its name, ``_plus`` for method plus.
+    """
+    folder = SHIPPED / f"{file_name(env)}{variant}"
     return recorded_training(folder) if (folder / RECORD_FILE).is_file() else None
 
 

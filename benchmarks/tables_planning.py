@@ -13,20 +13,22 @@ HALF_TRAINED = RESULTS / "policy_vs_mpc_point_maze.png"
 
 
 def glance_table() -> list[str]:
-    """One line per task: what the straight line, the policy and a planner with d come to."""
+    """For every model that ships by its task's name: what the straight line, its policy and a planner with its d come to."""
     lines = [
         "### At a glance",
         "",
         "Success in the last step on 50 fresh episodes, 95 % Wilson interval. The planner is MPPI, for pick and place iCEM, with the",
         "learned distance, 64 simulated plans per control step, the policy's rollout among them; *d alone* is the same without that rollout,",
         "*straight line* MPPI with that cost and 64 plans on 50 other fresh episodes. *Planner minus policy* compares the same episodes",
-        "(Newcombe's paired 95 % interval). Policy and distance are those of the checkpoint that ships: one training run per task, so the",
-        "intervals do not cover the spread between runs. *Steps to goal* average over the episodes that got there at all.",
+        "(Newcombe's paired 95 % interval). Policy and distance are those of the checkpoints that ship, of *ours* under the task's name and",
+        "of *plus* as `TASK_plus`: one training run each, so the intervals do not cover the spread between runs. *Steps to goal* average",
+        "over the episodes that got there at all.",
         "",
         "| task | training | straight line | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    lines += [f"| {env} | {' | '.join(_glance(env))} |" for env in suite("paper")]
+    for env in suite("paper"):
+        lines += [f"| {env} | {' | '.join(_glance(env, variant))} |" for variant in ("", "_plus")]
     if HALF_TRAINED.is_file():
         lines += [
             "",
@@ -37,9 +39,9 @@ def glance_table() -> list[str]:
     return lines
 
 
-def _glance(env: str) -> list[str]:
-    """Cells of a task's line, of the model that ships for it."""
-    planner, shipped = "icem" if "pick_place" in env else "mppi", shipped_training(env)
+def _glance(env: str, variant: str) -> list[str]:
+    """Cells of a task's line, of a model that ships for it."""
+    planner, shipped = "icem" if "pick_place" in env else "mppi", shipped_training(env, variant)
     found: dict[tuple[str, str], dict[str, str]] = {}
     for row in policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE), training_seed=shipped[1] if shipped else 0):
         if row["env"] == env and shipped and training_of(row) == shipped[0] and row["budget"] in ("0", "64"):
@@ -52,7 +54,7 @@ def _glance(env: str) -> list[str]:
     line = straight[-1] if straight else "not run"
     policy, plans, alone = (found.get(cell) for cell in (("policy", "0"), (planner, "1"), (planner, "0")))
     if policy is None or plans is None:
-        return ["not run", line, "", "", "", "", ""]
+        return [f"{'plus' if variant else 'ours'}, not run", line, "", "", "", "", ""]
     gain, (low, high) = paired_proportions(*([float(hit) for hit in row["successes"]] for row in (plans, policy)))
     steps = [f"{float(row['mean_steps_to_goal'] or 'nan'):.1f}" for row in (policy, plans)]
     return [
