@@ -11,6 +11,7 @@ import torch
 import tyro
 
 from napsp import envs as tasks
+from napsp.callable_module import callable_module
 from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
@@ -71,6 +72,8 @@ def main() -> int:
         write_json(options.out, figures)
     return 0
 
+
+callable_module(__name__, "evaluate")
 
 if __name__ == "__main__":
     run_command(main)

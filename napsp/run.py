@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -58,6 +59,7 @@ class Run:
     revisions: list[str]
     explorers: Explorers | None = None
     interrupted: bool = False
+    on_evaluation: Callable[[Row], Any] | None = None
     _previous_handler: Any = signal.SIG_DFL
     _previous_precision: str = "highest"
 
@@ -142,9 +144,11 @@ class Run:
         due = done // config.evaluate.every > (done - config.episodes_per_iteration) // config.evaluate.every
         if due or last:
             timing = {"seconds": seconds, "steps_per_second": done * config.episode_length / seconds}
-            self.progress.report(
-                {"episodes": float(done), **self._evaluate(), **metrics, **timing, "minutes_left": seconds_left / 60}
-            )
+            left = {"minutes_left": seconds_left / 60}
+            row: Row = {"episodes": float(done), **self._evaluate(), **metrics, **timing, **left}
+            self.progress.report(row)
+            if self.on_evaluation is not None and self.on_evaluation(row) is False:
+                self.interrupted = True
         if due or last or self.interrupted:
             self._save(iteration + 1, seconds)
         return self.interrupted

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import itertools
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 import tyro
 
 from napsp import envs as tasks
+from napsp.callable_module import callable_module
 from napsp.config import PAPER, PAPER_METHODS, TrainConfig, preset, recipes
 from napsp.errors import run_command
 from napsp.execution import Execution
@@ -28,13 +30,15 @@ def train(
     restart: bool = False,
     tensorboard: bool = False,
     execution: Execution | None = None,
+    on_evaluation: Callable[[Row], Any] | None = None,
 ) -> list[Row]:
     """Run Algorithm 1; write ``model.safetensors`` and ``metrics.csv`` into ``folder``.
 
-    A folder that holds an unfinished run with the same settings is continued, unless
-    ``restart``. Returns the rows of ``metrics.csv``.
+    A folder that holds an unfinished run with the same settings is continued, unless ``restart``. ``on_evaluation`` is
+    handed each new row of ``metrics.csv``, and ends the run, saved, by returning False. Returns all rows.
     """
     run = Run.open(config, folder, restart, tensorboard, execution or Execution())
+    run.on_evaluation = on_evaluation
     learner = run.learner
     try:
         for iteration in range(run.iteration, run.n_iterations):  # Algorithm 1, line 1
@@ -99,10 +103,15 @@ def parse(arguments: list[str]) -> tuple[TrainConfig, Options, Execution]:
     return tyro.cli(all_of, args=arguments, prog="python -m napsp.train")
 
 
+def usual_folder(config: TrainConfig) -> Path:
+    """Where a run lives unless the user says otherwise."""
+    return Path("runs") / f"{tasks.file_name(config.env)}-{config.method}-s{config.seed}"
+
+
 def main() -> int:
     """Run the command."""
     config, options, execution = parse(sys.argv[1:])
-    folder = options.out or Path("runs") / f"{tasks.file_name(config.env)}-{config.method}-s{config.seed}"
+    folder = options.out or usual_folder(config)
     print(f"{config.env}: {config.method}, seed {config.seed}, {config.n_episodes} episodes -> {folder}")
     others = [name for name in recipes(config.env) if name != PAPER]
     if config.recipe == PAPER and others and config.method in PAPER_METHODS:
@@ -111,6 +120,8 @@ def main() -> int:
     train(config, folder, options.restart, options.tensorboard, execution)
     return 0 if (folder / RECORD_FILE).is_file() else 130
 
+
+callable_module(__name__, "train")
 
 if __name__ == "__main__":
     run_command(main)

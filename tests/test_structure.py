@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import re
 import statistics
 from pathlib import Path
 
@@ -23,9 +24,10 @@ FILES = {
 
 
 def imports_of(path):
-    """Modules that a file imports, in functions as well; a command's own start is no import of the file."""
+    """Modules that a file imports, in functions as well; not at a command's own start, nor for type checkers alone."""
     found, tree = set(), ast.parse(path.read_text())
-    tree.body = [node for node in tree.body if not (isinstance(node, ast.If) and "__main__" in ast.unparse(node.test))]
+    apart = re.compile("__main__|TYPE_CHECKING")
+    tree.body = [node for node in tree.body if not (isinstance(node, ast.If) and apart.search(ast.unparse(node.test)))]
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}

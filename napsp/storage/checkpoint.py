@@ -90,8 +90,8 @@ def save_model(
     write_tensors(path, tensors, header)
 
 
-def load_model(path: str | Path, env: str) -> Model:
-    """Read a model trained on ``env``; ``path`` is the file, its folder, or the name of one that ships.
+def load_model(path: str | Path, env: str | None = None) -> Model:
+    """Read a model; ``path`` is the file, its folder, or the name of one that ships, ``env`` the task it has to be of.
 
     Raises:
         UserError: damaged or foreign file, or a model of another environment.
@@ -103,7 +103,7 @@ def load_model(path: str | Path, env: str) -> Model:
         path = path / MODEL_FILE
     tensors, header = read_tensors(path, "model")
     trained_on = header["config"]["env"]  # before anything else: a task of one's own may not be at hand any more
-    if trained_on != canonical_name(env):
+    if env is not None and trained_on != canonical_name(env):
         raise UserError(f"{path} was trained on {trained_on}, not on {env}; give a checkpoint of {env}")
     tensors, header = todays(tensors, header)
     config = from_dict(header["config"])
