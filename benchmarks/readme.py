@@ -1,8 +1,9 @@
-"""Writes the README's results from the rows in ``results/``: ``python -m benchmarks.readme``."""
+"""Writes the results of README and docs/results.md from the rows in ``results/``: ``python -m benchmarks.readme``."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,40 +15,46 @@ from benchmarks.tables_plus import ablation_table
 from napsp.errors import run_command
 from napsp.storage.files import write_atomically
 
-README = Path("README.md")
+Table = Callable[[], list[str]]
+README, PAGE = Path("README.md"), Path("docs") / "results.md"
 START, END = "<!-- results:start -->", "<!-- results:end -->"
-OPEN = (planning.glance_table, training.learning_table)
-FOLDED = (
-    planning.cost_table, planning.versus_table, planning.smoothing_table, training.training_table,
-    training.accuracy_table, ablation_table, training.coverage_table, training.gate_table, speed.speed_table,
-    speed.throughput_table, speed.learner_table,
-)  # fmt: skip
-"""Tables that a reader opens when interested."""
+TABLES: dict[Path, tuple[Table, ...]] = {
+    README: (planning.glance_table,),
+    PAGE: (
+        training.learning_table, planning.cost_table, planning.versus_table, training.accuracy_table, ablation_table,
+        planning.smoothing_table, training.training_table, training.coverage_table, training.gate_table,
+        speed.speed_table, speed.throughput_table, speed.learner_table,
+    ),
+}  # fmt: skip
+"""What is shown where."""
 
 
-def folded(lines: list[str]) -> list[str]:
-    """A table whose heading alone shows until it is clicked."""
-    title = re.sub("`(.*?)`", r"<code>\1</code>", lines[0].removeprefix("### "))
-    return ["<details>", f"<summary><b>{title}</b></summary>", *lines[1:], "", "</details>"]
+def written(table: Table, page: Path) -> str:
+    """A table, its links as the page needs them: they are written as seen from the top folder."""
+    text = "\n".join(table())
+    if page.parent == Path("."):
+        return text
+    text = re.sub(r"^###", "##", text, flags=re.MULTILINE)
+    return text.replace("](results/", "](../results/").replace(f"]({page.parent}/", "](")
 
 
-def updated(text: str) -> str:
-    """The README's ``text`` with the part between the two markers made anew."""
-    tables = [table() for table in OPEN] + [folded(lines) for table in FOLDED if (lines := table())]
-    body = "\n\n".join("\n".join(lines) for lines in tables)
-    return f"{text.split(START, maxsplit=1)[0]}{START}\n\n{body}\n\n{END}{text.split(END)[1]}"
+def updated(page: Path, text: str) -> str:
+    """A page's ``text`` with the part between the two markers made anew."""
+    tables = "\n\n".join(found for table in TABLES[page] if (found := written(table, page)))
+    return f"{text.split(START, maxsplit=1)[0]}{START}\n\n{tables}\n\n{END}{text.split(END)[1]}"
 
 
 @dataclass(frozen=True)
 class ReadmeOptions:
-    """Write the tables of the README from the rows in results/; there is nothing to choose."""
+    """Write the tables of the README and of docs/results.md from the rows in results/; there is nothing to choose."""
 
 
 def main() -> int:
-    """Write the results into the README."""
+    """Write the results into the pages."""
     read_options(ReadmeOptions, "readme")
-    write_atomically(README, updated(README.read_text()).encode())
-    print(f"{README} updated from results/")
+    for page in TABLES:
+        write_atomically(page, updated(page, page.read_text()).encode())
+        print(f"{page} updated from results/")
     return 0
 
 

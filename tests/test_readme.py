@@ -1,4 +1,4 @@
-"""The README says what the rows in results/ say."""
+"""README and docs/results.md say what the rows in results/ say; links and pictures of all pages exist."""
 
 import io
 import re
@@ -12,7 +12,8 @@ import pytest
 from benchmarks import readme
 
 ROOT = Path(__file__).parents[1]
-READ = ("README.md", "results", "napsp/checkpoints")
+READ = ("README.md", "docs", "results", "napsp/checkpoints")
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
 
 @pytest.fixture
@@ -29,19 +30,38 @@ def committed(tmp_path):
     return tmp_path
 
 
-def test_results_in_the_readme_are_those_of_the_rows(committed, monkeypatch):
+@pytest.mark.parametrize("page", readme.TABLES, ids=str)
+def test_results_in_the_pages_are_those_of_the_rows(page, committed, monkeypatch):
     monkeypatch.chdir(committed)
-    text = Path("README.md").read_text()
-    assert readme.updated(text) == text, "run: python -m benchmarks.readme"
+    text = page.read_text()
+    assert readme.updated(page, text) == text, "run: python -m benchmarks.readme"
 
 
-def test_links_and_pictures_of_the_readme_exist():
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_pictures_and_headings_that_a_page_names_exist(page):
+    text = page.read_text()
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        path, _, heading = target.partition("#")
+        if "://" in path:
+            continue
+        there = page.parent / path if path else page
+        assert there.exists(), target
+        titles = re.findall(r"^#+ (.*)$", there.read_text(), re.MULTILINE) if heading else []
+        anchors = [re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles]
+        assert heading in ("", *anchors), target
+    for path in re.findall(r"`((?:docs|results)/[\w./]+)`", text):
+        assert (ROOT / path).exists(), path
+
+
+def test_the_readme_is_short():
     text = (ROOT / "README.md").read_text()
-    linked = re.findall(r"\]\(([^)#]+)\)", text) + re.findall(r"`(docs/[\w./]+)`", text)
-    assert linked and not [path for path in linked if "://" not in path and not (ROOT / path).exists()]
+    assert len(text.splitlines()) <= 200
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    assert len(prose.split()) <= 1400
 
 
-def test_a_folded_table_shows_its_heading_and_keeps_its_rows():
-    lines = readme.folded(["### Speed (`python -m x`)", "", "| a |", "|---|", "| 1 |"])
-    assert lines[1] == "<summary><b>Speed (<code>python -m x</code>)</b></summary>"
-    assert lines[2:6] == ["", "| a |", "|---|", "| 1 |"] and lines[-1] == "</details>"
+def test_a_table_of_a_page_below_links_from_there():
+    lines = ["### Speed", "", "![x](results/a.png) and [plus](docs/plus.md)"]
+    assert readme.written(lambda: lines, Path("README.md")) == "\n".join(lines)
+    below = readme.written(lambda: lines, Path("docs/results.md"))
+    assert below == "## Speed\n\n![x](../results/a.png) and [plus](plus.md)"

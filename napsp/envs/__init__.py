@@ -113,8 +113,7 @@ def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium
     except TypeError:
         raise UserError(
             f"{name} can not be planned in: it lacks {', '.join(missing)} and is neither a "
-            "MujocoRobotEnv nor a MazeEnv of gymnasium-robotics; add them as the README's 'Use your own environment' "
-            "shows"
+            "MujocoRobotEnv nor a MazeEnv of gymnasium-robotics; add them as docs/environments.md shows"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""Does a task of the user's own keep what README's *Use your own environment* asks? One sentence says what it lacks."""
+"""Does a task of the user's own keep what docs/environments.md asks? One sentence says what it lacks."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def _check_answer(
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
         raise UserError(
             f"{member} of {name} returns {found.dtype} of shape {found.shape}; it must return {kind.__name__} of shape "
-            f"({wanted}), see 'Use your own environment' in the README"
+            f"({wanted}), see docs/environments.md"
         )
     if kind is float and not np.isfinite(found).all():
         raise UserError(f"{member} of {name} returns numbers that are not finite; correct it")
