@@ -1,0 +1,54 @@
+"""The command napsp finds its way to the others."""
+
+import subprocess
+import sys
+
+import pytest
+
+from napsp.errors import UserError
+from planners.app import command
+
+
+def test_help_names_every_word_and_search(capsys):
+    for arguments in ([], ["--help"]):
+        assert command.run(arguments) == 0
+        said = capsys.readouterr().out
+        assert all(f"napsp {word}" in said for word in command.WORDS) and "predictive_sampling" in said
+
+
+def test_the_list_has_every_model_once_beside_its_task(capsys):
+    assert command.run(["list"]) == 0
+    said = capsys.readouterr().out
+    from napsp.storage.checkpoint import SHIPPED
+
+    models = [path.parent.name for path in SHIPPED.glob("*/model.safetensors")]
+    words = said.replace(",", " ").split()
+    assert models and all(words.count(name) >= 1 for name in models)
+    (wall,) = [line for line in said.splitlines() if line.startswith("fetch_pick_place_wall ")]
+    (plain,) = [line for line in said.splitlines() if line.startswith("fetch_pick_place ")]
+    assert "fetch_pick_place_wall_4000" in wall and "fetch_pick_place_wall" not in plain
+    assert "fetch_pick_place_plus" in plain
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["trian"], "did you mean train"), (["plan", "mpi"], "did you mean mppi"), (["xyzzy"], "napsp --help lists")],
+)
+def test_a_word_it_does_not_know_is_answered_with_one_it_does(arguments, message):
+    with pytest.raises(UserError, match=message):
+        command.run(arguments)
+
+
+def test_it_does_what_the_modules_do(tmp_path):
+    """In processes of their own, as a user has them."""
+    call = [sys.executable, "-c", "from planners.app.command import main; main()"]
+    plan = ["plan", "cem", "--env", "fetch_reach", "--episodes", "1", "--no-video", "--out", str(tmp_path / "plans")]
+    done = subprocess.run([*call, *plan], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "plans" / "summary.json").is_file()
+    judged = subprocess.run(
+        [*call, "evaluate", "--env", "fetch_reach", "--episodes", "1"], capture_output=True, text=True
+    )
+    assert judged.returncode == 0 and judged.stdout.startswith("policy on fetch_reach: success 1.00")
+    wrong = subprocess.run([*call, "train", "--env", "nope"], capture_output=True, text=True)
+    assert wrong.returncode == 2 and wrong.stderr.startswith("error: unknown environment 'nope'")
