@@ -13,7 +13,7 @@ import numpy as np
 from mpc.cost import Cost
 from mpc.knots import SplineConfig, interpolation_matrix, shift_matrix
 from mpc.rollout import Actor, Followed, RolloutEngine, Trajectories
-from napsp.envs.dynamics import check_same_state, get_state
+from napsp.envs.state import check_same_state, get_state
 
 
 class Planner(Protocol):

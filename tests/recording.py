@@ -45,7 +45,7 @@ class Line:
     def follow(self, state, observation, actor, horizon):
         self.log.append(("follow", state, observation, actor, horizon))
         actions = np.array(actor(horizon), np.float32).reshape(horizon, -1)
-        return Followed(actions, actions, np.arange(horizon))
+        return Followed(actions, actions, np.zeros(horizon, bool))
 
 
 class Recorder:

@@ -1,0 +1,32 @@
+"""Did a simulation blow up? MuJoCo puts one back to finite values at time zero; only its warning counters tell."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+_COUNTED = [int(kind) for kind in (
+    mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC,
+)]  # fmt: skip
+_MARK = 1 << 20
+"""What the counters are set to beforehand. From zero MuJoCo would print every sample that blows up."""
+
+
+def watch(data: mujoco.MjData) -> None:
+    """Begin to look out, after the state was loaded."""
+    data.warning.number[_COUNTED] = _MARK
+
+
+def blew_up(data: mujoco.MjData) -> bool:
+    """Whether the simulation has blown up since :func:`watch`.
+
+    MuJoCo's own reset clears the counters and then counts one; without it (autoreset disabled) they count on. All
+    zero is a reset by the task.
+    """
+    counters = data.warning.number[_COUNTED]
+    return bool(((counters != _MARK) & (counters != 0)).any())
+
+
+def any_blew_up(diverged: np.ndarray, features: np.ndarray) -> np.ndarray:
+    """Bool ``(N,)``: of samples marked as ``diverged`` ``(N,)``, or with features ``(N, H, F)`` that are not finite."""
+    return (diverged != 0.0) | ~np.isfinite(features).all((1, 2))
