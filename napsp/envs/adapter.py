@@ -169,5 +169,5 @@ class StockTask(gymnasium.Env):
         self._stock.env.close()
 
     def _observation(self) -> dict[str, np.ndarray]:
-        observation, achieved_goal = self.dynamics.observe(self._features[0])
+        observation, achieved_goal = self.dynamics.observe(self._features[0].copy())
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}

@@ -147,7 +147,7 @@ class OpenLoopEnv(GoalEnv, ABC):
         """Where goals ``(..., G)`` lie in the world, ``(..., 3)`` in metres, for pictures."""
 
     def _observation(self) -> dict[str, np.ndarray]:
-        observation, achieved_goal = self.dynamics.observe(self._features[0])
+        observation, achieved_goal = self.dynamics.observe(self._features[0].copy())  # it may return views
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
 
     def render(self) -> np.ndarray | None:
