@@ -161,6 +161,7 @@ class Controller:
         Raises:
             ValueError: the engine's model has another state, or the desired goal is not finite.
         """
+        self.engine.update()
         check_same_state(env.model, self.engine.dynamics.model)
         return self.plan_from(get_state(env.model, env.data), observation)
 

@@ -11,7 +11,6 @@ import multiprocessing
 import os
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import mujoco
@@ -19,10 +18,11 @@ import numpy as np
 
 from mpc.divergence import any_blew_up, blew_up, watch
 from mpc.native import NativeRollout, hands_over
+from mpc.threads import ThreadWorkers
 from mpc.workers import CAN_FORK, ForkedWorkers, StuckError
 from napsp.envs.dynamics import Dynamics
 from napsp.envs.state import get_state, put_state
-from napsp.envs.watch import Watched
+from napsp.envs.watch import Watched, WatchedDynamics
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps observations ``(1, O)`` and goals ``(1, G)`` to actions ``(1, A)``."""
@@ -66,8 +66,8 @@ def available_cores() -> int:
 class RolloutEngine:
     """Rolls out action sequences from a full simulator state.
 
-    What a task changes in the numbers of its model is seen by the next rollout, and so is another model or other
-    dynamics. What it changes in attributes of its own is, where processes simulate, only after :meth:`reset`.
+    What a task changes in the numbers of its model is seen by the next rollout, and so are another model and attributes
+    of its dynamics that are set anew; what it changes elsewhere is, where processes simulate, after :meth:`reset`.
 
     Args:
         dynamics: the task's physics. Helper processes hold a copy of it as it was at the last :meth:`reset`.
@@ -76,7 +76,12 @@ class RolloutEngine:
             where the operating system allows it. A simulation that gets stuck there, because it uses a library with
             threads of its own, goes on in threads of this process.
         source: answers which dynamics to plan in now, for tasks that make new ones; default always ``dynamics``.
+
+    Attributes:
+        path: how the last rollout was simulated, in words.
     """
+
+    path = "nothing simulated yet"
 
     def __init__(
         self,
@@ -88,7 +93,7 @@ class RolloutEngine:
         self.dynamics, self._source = dynamics, source
         self.n_threads = n_threads or available_cores()
         self._fork = fork and not multiprocessing.current_process().daemon  # daemons may not have children
-        self._pool: ThreadPoolExecutor | None = None
+        self._threads: ThreadWorkers | None = None
         self._helpers: ForkedWorkers | None = None
         self._helper_seconds = 0.0
         self._native: NativeRollout | None = None
@@ -125,8 +130,8 @@ class RolloutEngine:
         dynamics = self._source() if self._source else self.dynamics
         if dynamics is not self.dynamics or dynamics.model is not self._model:
             self.use(dynamics)
-        elif self._helpers is not None and self._watched.changed():
-            self._end_helpers()  # they hold a copy of the model
+        elif self._helpers is not None and any(watched.changed() for watched in self._watched):
+            self._end_helpers()  # they hold a copy
 
     def rollout(self, state: np.ndarray, actions: np.ndarray, known: Sequence[Followed] = ()) -> Trajectories:
         """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.state.get_state`.
@@ -192,17 +197,21 @@ class RolloutEngine:
         diverged: np.ndarray,
     ) -> None:
         if self.n_threads == 1 or len(samples) < 2:
+            self.path = "one thread"
             self._run_samples(0, state, samples, controls, features, diverged)
         elif not self._fork:
-            self._run_threads(state, controls, samples, features, diverged)
+            self.path = f"{self.n_threads} threads"
+            self._threads = self._threads or ThreadWorkers(self._run_samples, self.n_threads)
+            self._threads.run(state, samples, controls, features, diverged)
         else:
+            self.path = f"{self.n_threads} processes"
             try:
                 self._forked(controls, features).run(state, samples, controls, features, diverged)
             except StuckError as stuck:
                 self._end_helpers()
                 self._fork = False
                 warnings.warn(f"{stuck}; simulating in threads, as fork=False does at once", RuntimeWarning, 3)
-                self._run_threads(state, controls, samples, features, diverged)
+                self._run_workers(state, controls, samples, features, diverged)
             except BaseException:  # Ctrl-C too: answers still under way would pass for the next call's
                 self._end_helpers()
                 raise
@@ -211,32 +220,9 @@ class RolloutEngine:
         if self._helpers is None or not self._helpers.fit(controls) or not self._helpers.alive():
             self._end_helpers()
             sizes = controls.shape[0] * controls.shape[1], controls.shape[2], features.shape[2]
-            self._watched = Watched(self._model)
+            self._watched = Watched(self._model), WatchedDynamics(self.dynamics)
             self._helpers = ForkedWorkers(self._run_samples, self.n_threads - 1, *sizes)
         return self._helpers
-
-    def _run_threads(
-        self,
-        state: np.ndarray,
-        controls: np.ndarray,
-        samples: np.ndarray,
-        features: np.ndarray,
-        diverged: np.ndarray,
-    ) -> None:
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self.n_threads)
-        taken = iter(samples.tolist())  # its next() is atomic
-        jobs = [
-            self._pool.submit(self._run_samples, worker, state, taken, controls, features, diverged)
-            for worker in range(self.n_threads)
-        ]
-        try:
-            for job in jobs:
-                job.result()
-        finally:  # after a failure or Ctrl-C nobody may go on: the next call uses the same simulations
-            for _ in taken:
-                pass
-            wait(jobs)
 
     def _end_helpers(self) -> None:
         if self._helpers is not None:
@@ -267,6 +253,7 @@ class RolloutEngine:
         substeps = self.dynamics.substeps
         if not hands_over(self._model, self._datas[0], controls.shape[1] * substeps):
             return samples
+        self.path = f"mujoco.rollout, {self.n_threads} threads"
         if self._native is None:
             self._native = NativeRollout(self.n_threads)
         found = features if len(samples) == len(features) else features[samples]
@@ -277,11 +264,10 @@ class RolloutEngine:
     def close(self) -> None:
         """Stop the workers."""
         self._end_helpers()
-        if self._pool is not None:
-            self._pool.shutdown()
-        if self._native is not None:
-            self._native.close()
-        self._pool = self._native = None
+        for pool in (self._threads, self._native):
+            if pool is not None:
+                pool.close()
+        self._threads = self._native = None
 
     def __enter__(self) -> RolloutEngine:
         """Use as a context manager to stop the workers at the end."""

@@ -13,10 +13,12 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -43,8 +45,7 @@ class ForkedWorkers:
 
     A helper is a copy of this process as it is now, so ``job`` may be bound to anything, and
     what changes here later is not seen there. A fork loses the threads that libraries such as torch have started: a
-    job that asks for them waits for ever, which is noticed. Helpers end with this process, however it ends, or
-    already with the thread that forked them; see :meth:`alive`.
+    job that asks for them waits for ever, which is noticed. Helpers end with this process, however it ends.
 
     Args:
         job: what every worker runs on its own share.
@@ -60,6 +61,7 @@ class ForkedWorkers:
         self._shared = [_shared_memory(n_steps * size) for size in sizes]
         self._n_taken = _shared_memory(1).view(np.int64)
         self._pipes: list[Connection] = []
+        self._theirs: list[Connection] = []
         self._processes: list[BaseProcess] = []
         self.cpu_seconds = 0.0  # CPU time of the helpers so far
         context = multiprocessing.get_context("fork")
@@ -67,20 +69,37 @@ class ForkedWorkers:
         self._lock = context.Lock()
         for worker in range(1, n_helpers + 1):
             ours, theirs = context.Pipe()
-            process = context.Process(target=self._serve, args=(worker, ours, theirs), daemon=True)
+            self._processes.append(context.Process(target=self._serve, args=(worker, ours, theirs), daemon=True))
+            self._pipes.append(ours)
+            self._theirs.append(theirs)
+        self._closed = threading.Event()
+        if threading.current_thread() is threading.main_thread():
+            self._fork()
+        else:  # helpers end with the thread that forked them, and the caller's may end sooner
+            forked: Future[None] = Future()
+            threading.Thread(target=self._fork_and_stay, args=(forked,), daemon=True).start()
+            forked.result()
+
+    def _fork_and_stay(self, forked: Future[None]) -> None:
+        try:
+            forked.set_result(self._fork())
+        except BaseException as error:
+            forked.set_exception(error)
+        self._closed.wait()
+
+    def _fork(self) -> None:
+        for process, theirs in zip(self._processes, self._theirs, strict=True):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns of any thread, see above
                 process.start()
             theirs.close()
-            self._pipes.append(ours)
-            self._processes.append(process)
 
     def fit(self, controls: np.ndarray) -> bool:
         """Whether there is room for controls ``(N, H, U)``."""
         return controls.size <= len(self._shared[0])
 
     def alive(self) -> bool:
-        """Whether all helpers still run; the thread that forked them may have ended, and they with it."""
+        """Whether all helpers still run."""
         return all(process.is_alive() for process in self._processes)
 
     def run(
@@ -123,6 +142,7 @@ class ForkedWorkers:
             process.join()
             pipe.close()
         self._processes, self._pipes = [], []
+        self._closed.set()
 
     def _take(self, samples: np.ndarray) -> Iterator[int]:
         """One sample at a time, until the workers together have taken all: contact-rich ones take longer."""

@@ -37,6 +37,9 @@ class Line:
     def reset(self):
         self.log.append(("engine.reset",))
 
+    def update(self):
+        self.log.append(("engine.update",))
+
     def rollout(self, state, actions, known=()):
         self.log.append(("rollout", state, actions, known))
         positions = state[1] + np.cumsum(actions, 1, np.float64)

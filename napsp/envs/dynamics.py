@@ -50,7 +50,8 @@ class Dynamics(Protocol):
     n_features: int
     open_loop: bool
     """True when a control row does not depend on the simulated state, so that a whole
-    horizon can be handed to one ``mujoco.rollout`` call (features are then qpos, qvel)."""
+    horizon can be handed to one ``mujoco.rollout`` call (features are then qpos, qvel).
+    Where the state holds more than that call takes, it is stepped all the same."""
 
     def bind(self, data: mujoco.MjData) -> Simulation:
         """Prepare to simulate on ``data``."""

@@ -74,7 +74,8 @@ class OpenLoopEnv(GoalEnv, ABC):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
     camera: str
     model_spec: mujoco.MjSpec | None = None
-    """What the model was compiled from; with it, planners need not simulate what only pictures show."""
+    """What the model was compiled from; with it, planners need not simulate what only pictures show, if the dynamics'
+    class says ``reads_shapes = False``: they ask the model and its data for no shape, camera or light."""
 
     def __init__(self, dynamics: OpenLoopDynamics, distance_threshold: float, render_mode: str | None) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):

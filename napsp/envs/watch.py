@@ -1,4 +1,4 @@
-"""Has a model changed? Tasks may randomise theirs at a reset, or move a wall in the middle of an episode."""
+"""Has a task changed? It may randomise its model at a reset, or move a wall in the middle of an episode."""
 
 from __future__ import annotations
 
@@ -36,3 +36,19 @@ class Watched:
     def _read(self) -> tuple[bytes, list[float]]:
         numbers = [getattr(self._options, name) for name in self._numbers]
         return b"".join([values.tobytes() for values in self._arrays]), numbers
+
+
+class WatchedDynamics:
+    """Remembers the attributes of dynamics: a task may compile another model, or give its wind another strength."""
+
+    def __init__(self, dynamics: Any) -> None:
+        self._dynamics = dynamics
+        self._seen = self._read()
+
+    def changed(self) -> bool:
+        """Whether an attribute has been set anew since then. What is inside of one is not looked at."""
+        now = self._read()
+        return len(now) != len(self._seen) or any(a is not b for a, b in zip(now, self._seen, strict=True))
+
+    def _read(self) -> list[Any]:
+        return list(getattr(self._dynamics, "__dict__", {}).values())
