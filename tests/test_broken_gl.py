@@ -6,24 +6,8 @@ import sys
 
 import pytest
 
-PLAN = [
-    *("planners.mppi", "--env", "point_maze", "--cost", "euclidean", "--episodes", "1"),
-    *("--samples", "6", "--horizon", "2", "--threads", "1"),
-]
-    "planners.mppi",
-    "--env",
-    "point_maze",
-    "--cost",
-    "euclidean",
-    "--episodes",
-    "1",
-    "--samples",
-    "6",
-    "--horizon",
-    "2",
-    "--threads",
-    "1",
-]
+SMALL = ["--samples", "6", "--horizon", "2", "--threads", "1"]
+PLAN = ["planners.mppi", "--env", "point_maze", "--cost", "euclidean", "--episodes", "1", *SMALL]
 
 
 def run(folder, *command):
