@@ -5,9 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-_COUNTED = [int(kind) for kind in (
-    mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC,
-)]  # fmt: skip
+_COUNTED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)  # BADQVEL between
 _MARK = 1 << 20
 """What the counters are set to beforehand. From zero MuJoCo would print every sample that blows up."""
 
@@ -23,8 +21,7 @@ def blew_up(data: mujoco.MjData) -> bool:
     MuJoCo's own reset clears the counters and then counts one; without it (autoreset disabled) they count on. All
     zero is a reset by the task.
     """
-    counters = data.warning.number[_COUNTED]
-    return bool(((counters != _MARK) & (counters != 0)).any())
+    return any(count not in (0, _MARK) for count in data.warning.number[_COUNTED].tolist())
 
 
 def any_blew_up(diverged: np.ndarray, features: np.ndarray) -> np.ndarray:
