@@ -13,7 +13,7 @@ import numpy as np
 from mpc.cost import Cost
 from mpc.knots import SplineConfig, interpolation_matrix, shift_matrix
 from mpc.rollout import Actor, Followed, RolloutEngine, Trajectories
-from napsp.envs.dynamics import check_same_state, get_state
+from napsp.envs.state import check_same_state, get_state
 
 
 class Planner(Protocol):
@@ -161,6 +161,7 @@ class Controller:
         Raises:
             ValueError: the engine's model has another state, or the desired goal is not finite.
         """
+        self.engine.update()
         check_same_state(env.model, self.engine.dynamics.model)
         return self.plan_from(get_state(env.model, env.data), observation)
 

@@ -1,7 +1,7 @@
 """Batched rollouts of the true simulator: N control sequences x H control steps on all cores.
 
 A rollout runs the task's own :class:`~napsp.envs.dynamics.Dynamics`, so it equals stepping
-the environment bit for bit: same state (warm start and mocap included), same control
+the environment bit for bit: same state (clock, warm start and mocap included), same control
 arithmetic, same observations.
 """
 
@@ -9,16 +9,20 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import warnings
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mujoco.rollout import Rollout
 
-from mpc.workers import CAN_FORK, ForkedWorkers
-from napsp.envs.dynamics import Dynamics, get_state
+from mpc.divergence import any_blew_up, blew_up, watch
+from mpc.native import NativeRollout, hands_over
+from mpc.threads import ThreadWorkers
+from mpc.workers import CAN_FORK, ForkedWorkers, StuckError
+from napsp.envs.dynamics import Dynamics
+from napsp.envs.state import get_state, put_state
+from napsp.envs.watch import Watched, WatchedDynamics
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps observations ``(1, O)`` and goals ``(1, G)`` to actions ``(1, A)``."""
@@ -46,12 +50,12 @@ class Followed:
     Attributes:
         actions: ``(H, A)``.
         features: of the dynamics at control steps 1 .. H, ``(H, F)``.
-        times: the simulation's clock at the same steps, ``(H,)``.
+        diverged: whether the simulation has blown up by then, bool ``(H,)``.
     """
 
     actions: np.ndarray
     features: np.ndarray
-    times: np.ndarray
+    diverged: np.ndarray
 
 
 def available_cores() -> int:
@@ -62,90 +66,127 @@ def available_cores() -> int:
 class RolloutEngine:
     """Rolls out action sequences from a full simulator state.
 
+    What a task changes in the numbers of its model is seen by the next rollout, and so are another model and attributes
+    of its dynamics that are set anew; what it changes elsewhere is, where processes simulate, after :meth:`reset`.
+
     Args:
-        dynamics: the task's physics. Helper processes hold a copy of it as it was at the last
-            :meth:`reset`.
+        dynamics: the task's physics. Helper processes hold a copy of it as it was at the last :meth:`reset`.
         n_threads: simulations that run at once; default all cores. Results do not depend on it.
         fork: let forked processes run them, which is a little faster than threads; default
-            where the operating system allows it.
+            where the operating system allows it. A simulation that gets stuck there, because it uses a library with
+            threads of its own, goes on in threads of this process.
+        source: answers which dynamics to plan in now, for tasks that make new ones; default always ``dynamics``.
+
+    Attributes:
+        path: how the last rollout was simulated, in words.
     """
 
-    def __init__(self, dynamics: Dynamics, n_threads: int | None = None, fork: bool = CAN_FORK) -> None:
-        self.dynamics = dynamics
+    path = "nothing simulated yet"
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        n_threads: int | None = None,
+        fork: bool = CAN_FORK,
+        source: Callable[[], Dynamics] | None = None,
+    ) -> None:
+        self.dynamics, self._source = dynamics, source
         self.n_threads = n_threads or available_cores()
         self._fork = fork and not multiprocessing.current_process().daemon  # daemons may not have children
-        # MjData takes megabytes: one per worker for good, never one per sample.
-        self._datas = [mujoco.MjData(dynamics.model) for _ in range(self.n_threads)]
-        self._simulations = [dynamics.bind(data) for data in self._datas]
-        self._duration = dynamics.substeps * dynamics.model.opt.timestep
-        self._pool: ThreadPoolExecutor | None = None
+        self._threads: ThreadWorkers | None = None
         self._helpers: ForkedWorkers | None = None
         self._helper_seconds = 0.0
-        self._native: Rollout | None = None
+        self._native: NativeRollout | None = None
+        self._bind()
+
+    def _bind(self) -> None:
+        self._model = self.dynamics.model
+        # MjData takes megabytes: one per worker for good, never one per sample.
+        self._datas = [mujoco.MjData(self._model) for _ in range(self.n_threads)]
+        self._simulations = [self.dynamics.bind(data) for data in self._datas]
 
     @property
     def helper_seconds(self) -> float:
         """CPU time spent in helper processes so far."""
         return self._helper_seconds + (self._helpers.cpu_seconds if self._helpers else 0.0)
 
+    @property
+    def forks(self) -> bool:
+        """Whether helper processes may simulate; no longer, once they got stuck."""
+        return self._fork
+
     def reset(self) -> None:
         """Let helper processes see what has changed in the dynamics, as a new episode may bring."""
         self._end_helpers()
 
+    def use(self, dynamics: Dynamics) -> None:
+        """Plan in other dynamics from now on."""
+        self.dynamics = dynamics
+        self._end_helpers()
+        self._bind()
+
+    def update(self) -> None:
+        """Take over what the task has changed: other dynamics, another model or numbers in it. Rollouts begin so."""
+        dynamics = self._source() if self._source else self.dynamics
+        if dynamics is not self.dynamics or dynamics.model is not self._model:
+            self.use(dynamics)
+        elif self._helpers is not None and any(watched.changed() for watched in self._watched):
+            self._end_helpers()  # they hold a copy
+
     def rollout(self, state: np.ndarray, actions: np.ndarray, known: Sequence[Followed] = ()) -> Trajectories:
-        """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.dynamics.get_state`.
+        """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.state.get_state`.
 
         Samples equal to actions in ``known``, followed from the same state, are copied from
         there instead.
         """
+        self.update()
         n_samples, horizon = actions.shape[:2]
-        state = _later(state)
         features = np.empty((n_samples, horizon, self.dynamics.n_features))
-        final_times = np.full(n_samples, state[0])
-        is_known = np.zeros(n_samples, bool)
+        diverged, is_known = np.zeros(n_samples), np.zeros(n_samples, bool)
         for own in known if horizon else ():
             same = (actions == own.actions[:horizon]).all((1, 2))
-            features[same], final_times[same] = own.features[:horizon], own.times[horizon - 1]
+            features[same], diverged[same] = own.features[:horizon], own.diverged[horizon - 1]
             is_known |= same
         samples = np.flatnonzero(~is_known)
         if horizon and len(samples):  # without a horizon d(s, a, g) alone counts; mujoco.rollout crashes on no samples
-            run = self._run_native if self.dynamics.open_loop else self._run_workers
-            run(state, self.dynamics.control(actions), samples, features, final_times)
-        diverged = self._diverged(state, features, final_times)
-        return Trajectories(*self.dynamics.observe(features), diverged)
+            controls = self.dynamics.control(actions)
+            if self.dynamics.open_loop:
+                samples = self._run_native(state, controls, samples, features)
+            if len(samples):
+                self._run_workers(state, controls, samples, features, diverged)
+        return Trajectories(*self.dynamics.observe(features), any_blew_up(diverged, features))
 
     def follow(self, state: np.ndarray, observation: dict[str, np.ndarray], actor: Actor, horizon: int) -> Followed:
         """Let an actor that sees every simulated state act for ``horizon`` steps from ``state``."""
+        self.update()
         simulation, data = self._simulations[0], self._datas[0]
-        features, times = np.empty((horizon, self.dynamics.n_features)), np.empty(horizon)
-        simulation.restore(_later(state))
+        features, diverged = np.empty((horizon, self.dynamics.n_features)), np.empty(horizon, bool)
+        self._begin(0, state)
         current, goal = observation["observation"], observation["desired_goal"].astype(np.float32)[None]
         actions = []
         for step in range(horizon):
             actions.append(actor(current.astype(np.float32)[None], goal)[0])
             simulation.advance(self.dynamics.control(actions[-1])[None], features[step : step + 1])
-            times[step] = data.time
+            diverged[step] = blew_up(data)
             current = self.dynamics.observe(features[step])[0]
-        return Followed(np.stack(actions), features, times)
+        return Followed(np.stack(actions), features, diverged)
 
     def trace(self, state: np.ndarray, actions: np.ndarray) -> tuple[Trajectories, np.ndarray]:
         """Roll out one plan ``(H, A)``; also the full states ``(H, S)`` before each step, fit for :meth:`rollout`."""
+        self.update()
         simulation, data, dynamics = self._simulations[0], self._datas[0], self.dynamics
         features, states = np.empty((1, len(actions), dynamics.n_features)), np.empty((len(actions), len(state)))
         controls = dynamics.control(actions)
-        simulation.restore(_later(state))
+        self._begin(0, state)
         for step in range(len(actions)):
-            states[step] = get_state(dynamics.model, data)
-            states[step, 0] -= 1.0  # the environment's clock again
+            states[step] = get_state(self._model, data)
             simulation.advance(controls[step : step + 1], features[0, step : step + 1])
-        diverged = self._diverged(_later(state), features, np.array([data.time]))
+        diverged = any_blew_up(np.array([blew_up(data)]), features)
         return Trajectories(*dynamics.observe(features), diverged), states
 
-    def _diverged(self, start: np.ndarray, features: np.ndarray, final_times: np.ndarray) -> np.ndarray:
-        # A simulation that blew up was reset by MuJoCo to finite values at time zero, so its
-        # clock is behind; looking for NaN alone would let it win.
-        late_by = start[0] + features.shape[1] * self._duration - final_times
-        return (late_by > 0.5 * self.dynamics.model.opt.timestep) | ~np.isfinite(features).all((1, 2))
+    def _begin(self, worker: int, state: np.ndarray) -> None:
+        put_state(self._simulations[worker], self._model, self._datas[worker], state)
+        watch(self._datas[worker])
 
     def _run_workers(
         self,
@@ -153,40 +194,35 @@ class RolloutEngine:
         controls: np.ndarray,
         samples: np.ndarray,
         features: np.ndarray,
-        final_times: np.ndarray,
+        diverged: np.ndarray,
     ) -> None:
         if self.n_threads == 1 or len(samples) < 2:
-            self._run_samples(0, state, samples, controls, features, final_times)
-        elif self._fork:
-            if self._helpers is None or not self._helpers.fit(controls):
-                self._end_helpers()
-                sizes = controls.shape[0] * controls.shape[1], controls.shape[2], features.shape[2]
-                self._helpers = ForkedWorkers(self._run_samples, self.n_threads - 1, *sizes)
+            self.path = "one thread"
+            self._run_samples(0, state, samples, controls, features, diverged)
+        elif not self._fork:
+            self.path = f"{self.n_threads} threads"
+            self._threads = self._threads or ThreadWorkers(self._run_samples, self.n_threads)
+            self._threads.run(state, samples, controls, features, diverged)
+        else:
+            self.path = f"{self.n_threads} processes"
             try:
-                self._helpers.run(state, samples, controls, features, final_times)
+                self._forked(controls, features).run(state, samples, controls, features, diverged)
+            except StuckError as stuck:
+                self._end_helpers()
+                self._fork = False
+                warnings.warn(f"{stuck}; simulating in threads, as fork=False does at once", RuntimeWarning, 3)
+                self._run_workers(state, controls, samples, features, diverged)
             except BaseException:  # Ctrl-C too: answers still under way would pass for the next call's
                 self._end_helpers()
                 raise
-        else:
-            self._run_threads(state, controls, samples, features, final_times)
 
-    def _run_threads(
-        self,
-        state: np.ndarray,
-        controls: np.ndarray,
-        samples: np.ndarray,
-        features: np.ndarray,
-        final_times: np.ndarray,
-    ) -> None:
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self.n_threads)
-        taken = iter(samples.tolist())  # its next() is atomic
-        jobs = [
-            self._pool.submit(self._run_samples, worker, state, taken, controls, features, final_times)
-            for worker in range(self.n_threads)
-        ]
-        for job in jobs:
-            job.result()
+    def _forked(self, controls: np.ndarray, features: np.ndarray) -> ForkedWorkers:
+        if self._helpers is None or not self._helpers.fit(controls) or not self._helpers.alive():
+            self._end_helpers()
+            sizes = controls.shape[0] * controls.shape[1], controls.shape[2], features.shape[2]
+            self._watched = Watched(self._model), WatchedDynamics(self.dynamics)
+            self._helpers = ForkedWorkers(self._run_samples, self.n_threads - 1, *sizes)
+        return self._helpers
 
     def _end_helpers(self) -> None:
         if self._helpers is not None:
@@ -201,43 +237,37 @@ class RolloutEngine:
         samples: Iterable[int],
         controls: np.ndarray,
         features: np.ndarray,
-        final_times: np.ndarray,
+        diverged: np.ndarray,
     ) -> None:
         simulation, data = self._simulations[worker], self._datas[worker]
         for sample in samples:
-            simulation.restore(state)
+            self._begin(worker, state)
             simulation.advance(controls[sample], features[sample])
-            final_times[sample] = data.time
+            diverged[sample] = blew_up(data)
 
     def _run_native(
-        self,
-        state: np.ndarray,
-        controls: np.ndarray,
-        samples: np.ndarray,
-        features: np.ndarray,
-        final_times: np.ndarray,
-    ) -> None:
-        """One ``mujoco.rollout`` call for the whole batch; features are qpos and qvel."""
+        self, state: np.ndarray, controls: np.ndarray, samples: np.ndarray, features: np.ndarray
+    ) -> np.ndarray:
+        """Fill in features of what one ``mujoco.rollout`` call can simulate; the samples that it can not."""
+        put_state(self._simulations[0], self._model, self._datas[0], state)
+        substeps = self.dynamics.substeps
+        if not hands_over(self._model, self._datas[0], controls.shape[1] * substeps):
+            return samples
+        self.path = f"mujoco.rollout, {self.n_threads} threads"
         if self._native is None:
-            self._native = Rollout(nthread=self.n_threads)
-        model, data = self.dynamics.model, self._datas[0]
-        self._simulations[0].restore(state)
-        start = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-        mujoco.mj_getState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        held = np.repeat(controls[samples], self.dynamics.substeps, axis=1)
-        states, _ = self._native.rollout(model, self._datas, start, held, initial_warmstart=data.qacc_warmstart.copy())
-        ends = np.asarray(states)[:, self.dynamics.substeps - 1 :: self.dynamics.substeps]
-        features[samples] = ends[..., 1 : 1 + model.nq + model.nv]
-        final_times[samples] = ends[:, -1, 0]
+            self._native = NativeRollout(self.n_threads)
+        found = features if len(samples) == len(features) else features[samples]
+        warned = self._native.run(self._model, self._datas, controls[samples], substeps, found)
+        features[samples] = found
+        return samples[warned]
 
     def close(self) -> None:
         """Stop the workers."""
         self._end_helpers()
-        if self._pool is not None:
-            self._pool.shutdown()
-        if self._native is not None:
-            self._native.close()
-        self._pool = self._native = None
+        for pool in (self._threads, self._native):
+            if pool is not None:
+                pool.close()
+        self._threads = self._native = None
 
     def __enter__(self) -> RolloutEngine:
         """Use as a context manager to stop the workers at the end."""
@@ -245,10 +275,3 @@ class RolloutEngine:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-
-def _later(state: np.ndarray) -> np.ndarray:
-    """Start with a positive clock: MuJoCo's reset puts it to zero, so even one in the first step shows."""
-    state = state.copy()
-    state[0] += 1.0
-    return state

@@ -37,6 +37,9 @@ class Line:
     def reset(self):
         self.log.append(("engine.reset",))
 
+    def update(self):
+        self.log.append(("engine.update",))
+
     def rollout(self, state, actions, known=()):
         self.log.append(("rollout", state, actions, known))
         positions = state[1] + np.cumsum(actions, 1, np.float64)
@@ -45,7 +48,7 @@ class Line:
     def follow(self, state, observation, actor, horizon):
         self.log.append(("follow", state, observation, actor, horizon))
         actions = np.array(actor(horizon), np.float32).reshape(horizon, -1)
-        return Followed(actions, actions, np.arange(horizon))
+        return Followed(actions, actions, np.zeros(horizon, bool))
 
 
 class Recorder:

@@ -136,6 +136,49 @@ def test_success_is_judged_in_any_batch_as_stock_judges_a_pair(name):
     env.close()
 
 
+WIDE = """
+import numpy as np
+from gymnasium import spaces
+from gymnasium_robotics.envs.fetch.reach import MujocoFetchReachEnv
+
+class Centimetres(MujocoFetchReachEnv):
+    max_episode_steps = 5
+    low, high = [0, 0, 0, -5], [5, 2, 5, 5]
+
+    def __init__(self, **options):
+        super().__init__(**options)
+        self.action_space = spaces.Box(np.float32(self.low), np.float32(self.high))
+        self.received = []
+
+    def _set_action(self, action):
+        self.received.append(np.array(action))
+        super()._set_action(np.clip(np.asarray(action, np.float64) / 5, -1, 1))
+
+class Unbounded(Centimetres):
+    high = [5, np.inf, 5, 5]
+"""
+
+
+def test_the_whole_box_of_stock_actions_is_planned_in(tmp_path, monkeypatch):
+    (tmp_path / "wide_box.py").write_text(WIDE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    env = envs.make("wide_box:Centimetres")
+    world = env.unwrapped
+    assert env.action_space.low.tolist() == [-1] * 4 and env.action_space.high.tolist() == [1] * 4
+    env.reset(seed=0)
+    ends = np.array([[-1, -1, -1, -1], [1, 1, 1, 1], [0, 0, 0, 0], [-3, 0.5, 3, 0]], np.float32)
+    state = get_state(world.model, world.data)
+    with RolloutEngine(world.dynamics, 2) as engine:
+        planned = engine.rollout(state, np.stack([ends, ends]))
+    executed = np.array([env.step(action)[0]["observation"] for action in ends])
+    np.testing.assert_array_equal(planned.observations, np.stack([executed, executed]))
+    received = np.array(world._stock.env.received[-4:])
+    np.testing.assert_array_equal(received, [[0, 0, 0, -5], [5, 2, 5, 5], [2.5, 1, 2.5, 0], [0, 1.5, 5, 0]])
+    env.close()
+    with pytest.raises(UserError, match="the actions of Unbounded have no bounds"):
+        envs.make("wide_box:Unbounded")
+
+
 def test_episode_lengths_and_configurations_of_foreign_tasks():
     assert envs.episode_length("HandReach-v3") == 50
     assert preset("FetchPush-v4").env == "FetchPush-v4" and preset("FetchPush-v4").episode_length == 50

@@ -78,8 +78,15 @@ def test_tasks_that_keep_the_contract_pass_without_a_word():
         ({"action_space": spaces.Discrete(4)}, "actions of task must be a flat Box from -1 to 1"),
         ({"action_space": spaces.Box(-2, 2, (2,))}, "actions of task must be a flat Box from -1 to 1"),
         ({"observation_space": spaces.Box(-1, 1, (4,))}, "must observe a Dict of three flat Box spaces"),
-        ({"reset": lambda: None}, r"reset\(seed=0\) of task failed with TypeError"),
-        ({"reset": lambda seed: ({"observation": 3.0}, {})}, "observes observation as float; give an array of"),
+        (
+            {"reset": lambda: None},
+            r"reset of task can not be called as Gymnasium does .*take seed=None and options=None",
+        ),
+        ({"reset": lambda seed=None: ({}, {})}, "got an unexpected keyword argument 'options'"),
+        ({"reset": raising}, r"reset\(seed=0\) of task failed with RuntimeError: out of order"),
+        ({"reset": lambda seed, options: {"observation": 3.0}}, "must return a tuple of observation and info"),
+        ({"reset": lambda seed, options: ({"observation": 3.0}, {})}, "observes observation as float; give an array"),
+        ({"step": lambda action: ({}, 0.0, False, {})}, "observation, reward, terminated, truncated and info"),
         ({"reached": lambda achieved, goal: True}, r"reached of task returns bool of shape \(\); .*of shape \(3, 2\)"),
         ({"compute_reward": raising}, r"compute_reward of task failed with RuntimeError: out of order \(test_check.py"),
         ({"goal_positions": lambda goals: goals}, r"goal_positions of task returns float64 of shape \(3, 2, 2\)"),
@@ -128,6 +135,16 @@ def test_a_step_that_planning_does_not_foresee_is_warned_of():
     for kind in (Windy, Weak):
         with pytest.warns(RuntimeWarning, match="task: a planned step differs from step"):
             check_task(kind(), "task")
+
+
+def test_observations_that_the_next_step_overwrites_are_warned_of():
+    class Views(PointMazeEnv):
+        def _observation(self):
+            observation, achieved_goal = self._features[0], self._features[0, :2]
+            return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
+
+    with pytest.warns(RuntimeWarning, match="task: a step overwrites the observation of the one before"):
+        check_task(Views(), "task")
 
 
 def test_a_success_test_need_not_broadcast_and_the_task_handed_out_is_untouched(tmp_path, monkeypatch):

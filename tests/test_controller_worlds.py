@@ -171,7 +171,7 @@ def test_a_followed_rollout_is_reused_only_for_its_own_actions(worlds):
             np.testing.assert_array_equal(simulated.observations, reused.observations)
             np.testing.assert_array_equal(simulated.achieved_goals, reused.achieved_goals)
             assert not reused.diverged.any()
-            marked = replace(followed, features=followed.features + 1.0, times=np.zeros(5))
+            marked = replace(followed, features=followed.features + 1.0, diverged=np.ones(5, bool))
             reused = engine.rollout(state, actions, [marked])
         changed = (simulated.achieved_goals != reused.achieved_goals).any((1, 2))
         np.testing.assert_array_equal(changed, [False, False, True, False])

@@ -4,13 +4,18 @@ import multiprocessing
 import os
 import select
 import signal
+import subprocess
+import sys
+import threading
 import time
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from explosive import Bound, Explosive
 
+from mpc import workers
 from mpc.rollout import RolloutEngine
 from mpc.workers import CAN_FORK
 from napsp.envs.dynamics import get_state
@@ -92,3 +97,111 @@ def test_helper_processes_see_a_changed_model_after_reset_and_end_on_close():
     (helper,) = engine._helpers._processes
     engine.close()
     assert not any(helper is child for child in multiprocessing.active_children())
+
+
+class Waiting(Explosive):
+    """Waits in forked processes for what only the caller's threads could bring, as torch does there."""
+
+    def __init__(self):
+        super().__init__(open_loop=False)
+        self.home = os.getpid()
+
+    def bind(self, data):
+        bound = Bound(self, data)
+        advance = bound.advance
+
+        def shared(*rows):
+            if os.getpid() != self.home:
+                threading.Event().wait()
+            time.sleep(0.1)  # so that helpers get their share
+            advance(*rows)
+
+        bound.advance = shared
+        return bound
+
+
+def test_a_stuck_helper_process_is_noticed_and_threads_go_on(monkeypatch):
+    monkeypatch.setattr(workers, "QUIET_SECONDS", 0.5)
+    dynamics = Waiting()
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.full((4, 2, 1), 1e-9)
+    with RolloutEngine(dynamics, 1) as engine:
+        alone = engine.rollout(state, actions)
+    with RolloutEngine(dynamics, 3) as engine:
+        with pytest.warns(RuntimeWarning, match="waits for ever in a forked process.*simulating in threads"):
+            first = engine.rollout(state, actions)
+        second = engine.rollout(state, actions)  # without another word
+        assert not engine.forks and engine._helpers is None
+    for found in (first, second):
+        np.testing.assert_array_equal(found.observations, alone.observations)
+
+
+def test_a_helper_process_that_works_long_is_waited_for(monkeypatch):
+    monkeypatch.setattr(workers, "QUIET_SECONDS", 0.3)
+    dynamics = Explosive(open_loop=False)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((2, 2, 1))
+    with RolloutEngine(dynamics, 2) as engine:
+        advance, end = engine._simulations[1].advance, time.monotonic() + 1.5
+
+        def busy(*rows):
+            while time.monotonic() < end:
+                pass
+            advance(*rows)
+
+        engine._simulations[1].advance = busy
+        assert not engine.rollout(state, actions).diverged.any()
+        assert engine.forks
+
+
+def test_helper_processes_of_a_thread_that_has_ended_are_replaced():
+    dynamics = Explosive(open_loop=False)
+    state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.full((4, 2, 1), 1e-9)
+    with RolloutEngine(dynamics, 2) as engine:
+        found = []
+        for _ in range(2):
+            thread = threading.Thread(target=lambda: found.append(engine.rollout(state, actions).observations))
+            thread.start()
+            thread.join()
+        found.append(engine.rollout(state, actions).observations)
+    assert len(found) == 3
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
+
+
+ORPHANS = """
+import os, signal, mujoco, numpy as np
+import test_workers
+from mpc.rollout import RolloutEngine
+from napsp.envs.dynamics import get_state
+dynamics = test_workers.Waiting()
+state = get_state(dynamics.model, mujoco.MjData(dynamics.model))
+engine = RolloutEngine(dynamics, 3)
+fork = engine._forked
+def forked(*sizes):
+    helpers = fork(*sizes)
+    print(*(process.pid for process in helpers._processes), flush=True)
+    return helpers
+engine._forked = forked
+engine.rollout(state, np.zeros((4, 2, 1)))
+"""
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+def test_stuck_helper_processes_do_not_outlive_their_caller(end):
+    with subprocess.Popen(
+        [sys.executable, "-c", ORPHANS], cwd=Path(__file__).parent, stdout=subprocess.PIPE, text=True
+    ) as caller:
+        helpers = [int(word) for word in caller.stdout.readline().split()]
+        assert len(helpers) == 2 and all(running(pid) for pid in helpers)
+        caller.send_signal(end)
+        caller.wait()
+    deadline = time.monotonic() + 10.0
+    while any(running(pid) for pid in helpers) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(running(pid) for pid in helpers)
+
+
+def running(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

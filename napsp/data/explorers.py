@@ -11,7 +11,7 @@ import numpy as np
 from napsp import envs as tasks
 from napsp.config import TrainConfig
 from napsp.data.collect import Actor, ExplorationConfig, ExploringActor
-from napsp.envs.dynamics import get_state
+from napsp.envs.state import get_state, put_state
 from napsp.learner import Learner
 
 ROLES = ("walk", "seek")
@@ -62,7 +62,7 @@ class Ongoing(gymnasium.Wrapper):
             return
         world: Any = self.env.unwrapped
         self.env.reset(seed=0)
-        world.dynamics.bind(world.data).restore(state["physics"])
+        put_state(world.dynamics.bind(world.data), world.model, world.data, state["physics"])
         self._n_episodes = int(state["n_episodes"])
         self.last = {name: value for name, value in state.items() if name not in ("n_episodes", "physics")}
 

@@ -11,9 +11,14 @@ import farama_notifications
 # gymnasium-robotics prints a notice about its Adroit tasks on import; no task here is one.
 farama_notifications.notifications.pop("gymnasium_robotics", None)
 
+from napsp.envs.gl import import_mujoco  # noqa: E402
+
+import_mujoco()  # before anything else does
+
 import gymnasium  # noqa: E402
 
 from napsp.envs.cards import CARDS  # noqa: E402
+from napsp.envs.wrappers import unwrapped  # noqa: E402
 from napsp.errors import UserError, load_object  # noqa: E402
 
 DEFAULT_EPISODE_LENGTH = 50  # of a class given as module:Class that names none
@@ -72,7 +77,7 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
     """Create a task with its time limit.
 
     Raises:
-        UserError: unknown, or an environment that cannot be planned in.
+        UserError: unknown, or an environment that cannot be planned in, because of its wrappers say.
     """
     name = canonical_name(name)
     if name in CARDS:
@@ -87,17 +92,20 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
     missing = [member for member in REQUIRED if not hasattr(env.unwrapped, member)]
     if missing:
         env.close()
+        unwrapped(name, env, lookers=False)
         env = _adapt(name, load, missing, **kwargs)
-    elif name not in _CHECKED:
-        from napsp.envs.check import check_task
+    else:
+        env = unwrapped(name, env, lookers=True)
+        if name not in _CHECKED:
+            from napsp.envs.check import check_task
 
-        tried = load()  # another one, so that the environment handed out begins as its class made it
-        try:
-            check_task(tried.unwrapped, name)
-        finally:
-            tried.close()
-        _CHECKED.add(name)  # once per process: it takes a reset, and training makes several
-    return gymnasium.wrappers.TimeLimit(env.unwrapped, episode_length(name))
+            tried = load()  # another one, so that the environment handed out begins as its class made it
+            try:
+                check_task(tried.unwrapped, name)
+            finally:
+                tried.close()
+            _CHECKED.add(name)  # once per process: it takes a reset, and training makes several
+    return gymnasium.wrappers.TimeLimit(env, episode_length(name))
 
 
 _CHECKED: set[str] = set()

@@ -2,7 +2,8 @@
 
 Slower than the tasks of this package - the environment's own Python runs inside every rollout -
 and equally exact: environment and rollouts call the same functions. As in every task here, the reward
-is 0 or -1, and the goal stays for a whole episode, which only its length ends. In the physics one thing
+is 0 or -1, the goal stays for a whole episode, which only its length ends, and actions lie in [-1, 1]: the
+stock environment's whole box, whatever its bounds. In the physics one thing
 differs from the stock environment: every step ends with fresh body poses. Stock ones may be a physics
 step old, and the next step of Fetch starts from them, so what follows would not depend on MuJoCo's state
 alone.
@@ -20,6 +21,7 @@ from gymnasium.spaces import flatdim
 
 from napsp.envs.dynamics import INTEGRATION_STATE
 from napsp.envs.stock import Stock, wrap
+from napsp.errors import UserError
 
 
 class StockSimulation:
@@ -58,6 +60,9 @@ class StockDynamics:
     Args:
         stock: the environment whose model is planned with.
         make: makes another one; every simulation needs its own.
+
+    Raises:
+        UserError: the environment's actions have no bounds.
     """
 
     open_loop = False
@@ -67,7 +72,13 @@ class StockDynamics:
         spaces = stock.observation_space.spaces
         self._n_observation = flatdim(spaces["observation"])
         self.n_features = self._n_observation + flatdim(spaces["achieved_goal"])
-        self._low, self._high = stock.env.action_space.low, stock.env.action_space.high
+        low, high = stock.env.action_space.low, stock.env.action_space.high
+        if not (np.isfinite(low).all() and np.isfinite(high).all()):
+            raise UserError(
+                f"the actions of {type(stock.env).__name__} have no bounds; give its action_space finite ones"
+            )
+        self._box = low.astype(np.float64), high.astype(np.float64)
+        self._scaled = bool((low != -1.0).any() or (high != 1.0).any())
         self._make = make
 
     def bind(self, data: mujoco.MjData) -> StockSimulation:
@@ -77,8 +88,12 @@ class StockDynamics:
         return StockSimulation(stock)
 
     def control(self, actions: np.ndarray) -> np.ndarray:
-        """Actions ``(..., A)`` clipped to the action space, in float32 numbers as stock steps use them."""
-        return np.clip(np.asarray(actions, np.float32), self._low, self._high).astype(np.float64)
+        """Actions ``(..., A)`` clipped to [-1, 1], as stock actions in its box, in float32 numbers as its steps use."""
+        clipped = np.clip(np.asarray(actions, np.float32), -1.0, 1.0).astype(np.float64)
+        if not self._scaled:
+            return clipped
+        low, high = self._box
+        return np.clip(low + 0.5 * (clipped + 1.0) * (high - low), low, high).astype(np.float32).astype(np.float64)
 
     def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Observation ``(..., O)`` and achieved goal ``(..., G)``."""
@@ -94,13 +109,15 @@ class StockTask(gymnasium.Env):
 
     Raises:
         TypeError: the environment is neither a ``MujocoRobotEnv`` nor a ``MazeEnv``.
+        UserError: its actions have no bounds.
     """
 
     def __init__(self, make: Callable[..., Any], render_mode: str | None = None) -> None:
         self._stock = wrap(make(render_mode=render_mode))
         env = self._stock.env
         self.metadata, self.render_mode = env.metadata, render_mode
-        self.observation_space, self.action_space = self._stock.observation_space, env.action_space
+        self.observation_space = self._stock.observation_space
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, env.action_space.shape, np.float32)
         self.model, self.data = self._stock.model, self._stock.data
         self.dynamics = StockDynamics(self._stock, lambda: wrap(make()))
         self._simulation = StockSimulation(self._stock)
@@ -169,5 +186,5 @@ class StockTask(gymnasium.Env):
         self._stock.env.close()
 
     def _observation(self) -> dict[str, np.ndarray]:
-        observation, achieved_goal = self.dynamics.observe(self._features[0])
+        observation, achieved_goal = self.dynamics.observe(self._features[0].copy())
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from collections.abc import Callable, Mapping
 from numbers import Real
@@ -38,7 +39,7 @@ def check_task(env: Any, name: str) -> None:
         _tried(name, "camera", lambda: env.model.camera(env.camera))
 
     sizes = {"observation": n_observation, "achieved_goal": n_goal, "desired_goal": n_goal}
-    start = _tried(name, "reset(seed=0)", lambda: env.reset(seed=0)[0])
+    start = _reset(env, name)
     _check_observation(start, name, sizes)
     _check_goals(env, name, start)
     _check_dynamics(env, name, sizes)
@@ -82,9 +83,18 @@ def _check_dynamics(env: Any, name: str, sizes: dict[str, int]) -> None:
                 f"dynamics.observe of {name} depends on what else is in the batch; use element-wise arithmetic"
             )
 
+    before, kept = {}, {}
     for step, action in enumerate(actions):
-        after = _tried(name, "step", lambda action=action: env.step(action)[0])
+        after = _step(env, name, action)
         _check_observation(after, name, sizes)
+        if any(not np.array_equal(before[part], kept[part]) for part in kept):
+            warnings.warn(
+                f"{name}: a step overwrites the observation of the one before; return copies (a slice of features is a "
+                "view)",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+        before, kept = after, {part: after[part].copy() for part in PARTS}
         planned = dict(zip(PARTS, (found[0, step] for found in pair), strict=False))
         if not all(np.array_equal(after[part], found.astype(after[part].dtype)) for part, found in planned.items()):
             warnings.warn(
@@ -94,6 +104,29 @@ def _check_dynamics(env: Any, name: str, sizes: dict[str, int]) -> None:
                 stacklevel=3,
             )
             return
+
+
+def _reset(env: Any, name: str) -> Any:
+    try:
+        inspect.signature(env.reset).bind(seed=0, options=None)
+    except TypeError as error:
+        raise UserError(
+            f"reset of {name} can not be called as Gymnasium does ({error}); let it take seed=None and options=None"
+        ) from None
+    answer = _tried(name, "reset(seed=0)", lambda: env.reset(seed=0, options=None))
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise UserError(f"reset of {name} must return a tuple of observation and info, as Gymnasium's does")
+    return answer[0]
+
+
+def _step(env: Any, name: str, action: np.ndarray) -> Any:
+    answer = _tried(name, "step", lambda: env.step(action))
+    if not isinstance(answer, tuple) or len(answer) != 5:
+        raise UserError(
+            f"step of {name} must return a tuple of observation, reward, terminated, truncated and info, as "
+            "Gymnasium's does"
+        )
+    return answer[0]
 
 
 def check_finite(observations: Mapping[str, np.ndarray], name: str) -> None:

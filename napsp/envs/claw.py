@@ -31,7 +31,7 @@ class ClawDynamics(OpenLoopDynamics):
     its turns; only its sine and cosine are seen.
     """
 
-    substeps = 40
+    substeps, reads_shapes = 40, False
 
     def __init__(self, model: mujoco.MjModel) -> None:
         super().__init__(model)

@@ -12,7 +12,9 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-INTEGRATION_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+from napsp.envs.state import INTEGRATION_STATE, get_state
+
+__all__ = ["INTEGRATION_STATE", "Dynamics", "Simulation", "get_state"]
 
 
 class Simulation(Protocol):
@@ -27,7 +29,11 @@ class Simulation(Protocol):
         ...
 
     def restore(self, state: np.ndarray) -> None:
-        """Put the data into a state taken by :func:`get_state`."""
+        """Put the data into a state, ``mjSTATE_INTEGRATION``; bring up to date what ``advance`` reads before it steps.
+
+        Poses say: MuJoCo computes them in the first step. ``mj_kinematics`` does, where ``mj_forward`` would move the
+        warm start.
+        """
         ...
 
 
@@ -44,7 +50,8 @@ class Dynamics(Protocol):
     n_features: int
     open_loop: bool
     """True when a control row does not depend on the simulated state, so that a whole
-    horizon can be handed to one ``mujoco.rollout`` call (features are then qpos, qvel)."""
+    horizon can be handed to one ``mujoco.rollout`` call (features are then qpos, qvel).
+    Where the state holds more than that call takes, it is stepped all the same."""
 
     def bind(self, data: mujoco.MjData) -> Simulation:
         """Prepare to simulate on ``data``."""
@@ -57,42 +64,3 @@ class Dynamics(Protocol):
     def observe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turn features ``(..., F)`` into observation ``(..., O)`` and achieved goal ``(..., G)``."""
         ...
-
-
-def get_state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return everything the next ``mj_step`` reads: ``mjSTATE_INTEGRATION``, float64 ``(S,)``.
-
-    Besides time, qpos, qvel and act it holds qacc_warmstart, ctrl and the mocap pose;
-    without the warm start a rollout in contact drifts away from the environment.
-    """
-    state = np.empty(mujoco.mj_stateSize(model, INTEGRATION_STATE))
-    mujoco.mj_getState(model, data, state, INTEGRATION_STATE)
-    return state
-
-
-STATE_SIZES = ("nq", "nv", "na", "nu", "nmocap", "nbody", "neq", "nuserdata", "npluginstate")
-STATE_MEANING = ("jnt_type", "jnt_qposadr", "body_parentid", "body_mocapid", "actuator_trnid")
-
-
-def check_same_state(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
-    """Check that a state of ``model`` can be loaded into ``other`` and means the same joints and bodies there.
-
-    Where obstacles stand is not compared: a planner may ignore some on purpose.
-
-    Raises:
-        ValueError: the models differ in their joints, actuators, mocap or other bodies.
-    """
-    if model is other:
-        return
-    differ = [
-        f"{n} {getattr(model, n)} and {getattr(other, n)}"
-        for n in STATE_SIZES
-        if getattr(model, n) != getattr(other, n)
-    ]
-    if not differ:
-        differ = [n for n in STATE_MEANING if not np.array_equal(getattr(model, n), getattr(other, n))]
-    if differ:
-        raise ValueError(
-            f"a state of the environment does not fit the model that is planned in ({', '.join(differ)}); "
-            "plan in a copy of the environment's model, see napsp.envs.coarse"
-        )

@@ -46,6 +46,8 @@ class FetchReachSimulation(FetchSimulation):
 class FetchReachDynamics(FetchDynamics):
     """Mocap control of the gripper with blocked fingers; a control row is a displacement ``(3,)``."""
 
+    reads_shapes = False
+
     def bind(self, data: mujoco.MjData) -> FetchReachSimulation:
         """Simulate on ``data``."""
         return FetchReachSimulation(self, data)

@@ -205,7 +205,7 @@ class ThinFetch(ABC):
         return self._observation()
 
     def _observation(self) -> dict[str, np.ndarray]:
-        observation, achieved_goal = self.dynamics.observe(self._features[0])
+        observation, achieved_goal = self.dynamics.observe(self._features[0].copy())
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
 
     def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:

@@ -68,7 +68,7 @@ class FetchPickPlaceDynamics(FetchDynamics):
             box position ``(3,)``.
     """
 
-    n_controls = 4
+    n_controls, reads_shapes = 4, False
 
     def __init__(self, model: mujoco.MjModel, augmented_goal: bool) -> None:
         super().__init__(model)

@@ -26,9 +26,10 @@ N_COMPARED = 3  # control steps
 def lean(dynamics: D, spec: mujoco.MjSpec | None, n_actions: int) -> D:
     """Return the same dynamics on a model without visual geoms, cameras and lights.
 
-    They are compared over a few control steps first; unless they agree to the bit, because a model refers to its shapes
-    by number say, ``dynamics`` come back as they are. Shapes that collide with nothing now must stay so; everything
-    else that an environment changes in its model reaches the copy by :func:`refresh`.
+    Shapes have other numbers there, so this is for dynamics whose class says ``reads_shapes = False``: nothing of what
+    they do asks the model or its data for a shape, camera or light. A subclass has to say so again. They are compared
+    over a few control steps all the same; unless they agree to the bit, ``dynamics`` come back as they are. What an
+    environment changes in its model reaches the copy by :func:`refresh`, as long as it :func:`still_serves`.
 
     Args:
         dynamics: the environment's.
@@ -39,6 +40,7 @@ def lean(dynamics: D, spec: mujoco.MjSpec | None, n_actions: int) -> D:
     model = dynamics.model
     if (
         spec is None
+        or vars(type(dynamics)).get("reads_shapes", True)
         or not hasattr(spec, "delete")
         or any(getattr(model, count, 0) for count in REFERRING)
         or model.geom_fluid.any()
@@ -89,17 +91,30 @@ def refresh(dynamics: Dynamics) -> None:
                 own[...] = values
 
 
+def still_serves(dynamics: Dynamics) -> bool:
+    """Whether what an environment has changed in the whole model can reach a lean one: no decoration became solid."""
+    decoration: Decoration | None = getattr(dynamics, "decoration", None)
+    if decoration is None or decoration.stripped is not dynamics.model:
+        return False
+    whole = decoration.whole
+    return np.array_equal(_solid(whole), decoration.kept) and not whole.geom_fluid.any()
+
+
+def _solid(model: mujoco.MjModel) -> np.ndarray:
+    return np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+
+
 def _without_decoration(spec: Any, model: mujoco.MjModel) -> tuple[mujoco.MjModel, np.ndarray]:
     """The model of what collides, and its geoms' numbers in ``model``."""
-    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    shown = [geom for geom in spec.geoms if not collides[geom.id]]
+    kept = _solid(model)
+    shown = [geom for geom in spec.geoms if geom.id not in kept]
     for body in spec.bodies:
         i, body.explicitinertial, body.fullinertia = body.id, True, np.full(6, np.nan)  # visual geoms may have mass
         body.mass, body.inertia = model.body_mass[i], model.body_inertia[i]
         body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
     for element in (*spec.cameras, *spec.lights, *shown):
         spec.delete(element)
-    return spec.compile(), np.flatnonzero(collides)
+    return spec.compile(), kept
 
 
 def _few_steps(dynamics: Dynamics, n_actions: int) -> np.ndarray:

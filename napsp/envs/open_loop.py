@@ -74,7 +74,8 @@ class OpenLoopEnv(GoalEnv, ABC):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
     camera: str
     model_spec: mujoco.MjSpec | None = None
-    """What the model was compiled from; with it, planners need not simulate what only pictures show."""
+    """What the model was compiled from; with it, planners need not simulate what only pictures show, if the dynamics'
+    class says ``reads_shapes = False``: they ask the model and its data for no shape, camera or light."""
 
     def __init__(self, dynamics: OpenLoopDynamics, distance_threshold: float, render_mode: str | None) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -147,7 +148,7 @@ class OpenLoopEnv(GoalEnv, ABC):
         """Where goals ``(..., G)`` lie in the world, ``(..., 3)`` in metres, for pictures."""
 
     def _observation(self) -> dict[str, np.ndarray]:
-        observation, achieved_goal = self.dynamics.observe(self._features[0])
+        observation, achieved_goal = self.dynamics.observe(self._features[0].copy())  # it may return views
         return {"observation": observation, "achieved_goal": achieved_goal, "desired_goal": self.goal.copy()}
 
     def render(self) -> np.ndarray | None:

@@ -74,7 +74,7 @@ def _build_model(scale: float) -> mujoco.MjSpec:
 class PointMazeDynamics(OpenLoopDynamics):
     """Force control of the point: a control row is the action, features are (x, y, vx, vy)."""
 
-    substeps = 10
+    substeps, reads_shapes = 10, False
 
     def control(self, actions: np.ndarray) -> np.ndarray:
         """Forces ``(..., 2)``: actions clipped to [-1, 1]; the gear turns 1 into 10 N."""

@@ -46,6 +46,9 @@ class Report:
                 highlight=False,
             )
 
+        if self._session.verified is not None:
+            self._console.print(f"tried: {self._session.verified}", highlight=False)
+
     def note(self, text: str) -> None:
         """Keep a line for the end of the report."""
         self._notes.append(text)

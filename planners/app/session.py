@@ -12,17 +12,19 @@ from mpc.controller import Controller, Plan
 from mpc.cost import Cost
 from mpc.motion import action_rate, jerk
 from mpc.rollout import RolloutEngine
+from mpc.verify import Verified
+from mpc.workers import CAN_FORK
 from napsp import envs as tasks
 from napsp.envs.cards import CARDS
 from napsp.envs.check import check_finite
-from napsp.envs.lean import refresh
+from napsp.errors import UserError
 from napsp.storage.checkpoint import Model
 from planners.app.config import PlanConfig
 from planners.app.episode import EpisodeResult, Step
 from planners.app.estimates import load_models, steps_to_go
 from planners.app.options import RunOptions
 from planners.app.searches import SEARCHES
-from planners.app.world import check_goal, planned_dynamics, proposers, smoother
+from planners.app.world import Planned, check_goal, proposers, smoother, verify_task
 
 
 class Watcher(Protocol):
@@ -40,12 +42,19 @@ class Session:
         config: how plans are made, with the task's values.
         run: the circumstances.
         models: the checkpoint's, then those of the ensemble; none for a cost that needs no distance.
+        verified: what was tried of a task that does not ship; None of one that does, and of a coarse model.
     """
 
     def __init__(
-        self, config: PlanConfig[Any], run: RunOptions, env: Any, controller: Controller, models: Sequence[Model] = ()
+        self,
+        config: PlanConfig[Any],
+        run: RunOptions,
+        env: Any,
+        controller: Controller,
+        models: Sequence[Model] = (),
+        verified: Verified | None = None,
     ) -> None:
-        self.config, self.run, self.models = config, run, models
+        self.config, self.run, self.models, self.verified = config, run, models, verified
         self.env, self.env_name = env, config.env
         self.controller = controller
         self.horizon = controller.horizon
@@ -68,7 +77,10 @@ class Session:
         check_goal(config.goal, world)
         horizon, n_actions = config.horizon or config.usual.horizon, world.action_space.shape[0]
         cost = Cost(steps_to_go(config, models, world), world.reached, config.where, config.action_of)
-        engine = RolloutEngine(planned_dynamics(config, world), run.threads)
+        planned = Planned(config, world)
+        verified = verify_task(config, run) if config.env not in CARDS and config.model.kind == "exact" else None
+        fork = verified.forks if verified else CAN_FORK
+        engine = RolloutEngine(planned(), run.threads, fork, source=planned)
         search: Any = config.search
         controller = Controller(
             engine,
@@ -81,7 +93,7 @@ class Session:
             proposers(config, model, n_actions),
             smoother(config, engine, cost, model, horizon, n_actions),
         )
-        return cls(config, run, env, controller, models)
+        return cls(config, run, env, controller, models, verified)
 
     @property
     def model(self) -> Model | None:
@@ -107,12 +119,11 @@ class Session:
         All chance comes from ``seed``: the episode is the same alone and in a series. ``options`` are the reset's.
 
         Raises:
-            UserError: the environment observed numbers that are not finite.
+            UserError: the environment observed numbers that are not finite, or another goal than it was set.
         """
         started = time.monotonic()
-        observation, _ = self.env.reset(seed=seed, options=options)
+        observation = _copied(self.env.reset(seed=seed, options=options)[0])
         check_finite(observation, self.env_name)
-        refresh(self.controller.engine.dynamics)
         self.controller.reset(np.random.default_rng([seed, 1]))  # not the stream that the environment draws from
         world = self.env.unwrapped
         if self.config.goal is not None:
@@ -130,8 +141,10 @@ class Session:
             # Not part of the plan call: a planner that averages its samples never rolls the average out.
             cost = self.controller.cost_of(world, observation, plan.actions)
             actions.append(plan.action)
-            observation, *_ = self.env.step(plan.action)
+            observation = _copied(self.env.step(plan.action)[0])
             check_finite(observation, self.env_name)
+            if self.config.goal is not None and not np.allclose(observation["desired_goal"], self.config.goal):
+                raise UserError(f"{self.env_name} does not keep to --goal; let step observe the attribute goal")
             success = bool(world.reached(observation["achieved_goal"], observation["desired_goal"]))
             first_hit = step + 1 if success and first_hit is None else first_hit
             steps.append(self._step(observation, plan, cost))
@@ -180,3 +193,8 @@ class Session:
         """Stop threads and release the environment."""
         self.controller.engine.close()
         self.env.close()
+
+
+def _copied(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """An observation that the environment's next step does not overwrite."""
+    return {key: np.array(values) for key, values in observation.items()}

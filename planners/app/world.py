@@ -10,23 +10,31 @@ from mpc.controller import Smoother
 from mpc.cost import Cost
 from mpc.filters import LowPass
 from mpc.rollout import Actor, RolloutEngine
+from mpc.verify import Verified, verify
+from napsp import envs as tasks
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics
-from napsp.envs.lean import lean
-from napsp.errors import UserError
+from napsp.envs.lean import lean, refresh, still_serves
+from napsp.envs.watch import Watched, WatchedDynamics
+from napsp.errors import UserError, describe_failure
 from napsp.policy.greedy import GreedyPolicy
 from napsp.policy.greedy_distance import GreedyDistance
 from napsp.storage.checkpoint import Model
 from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
 
 
 def check_goal(goal: tuple[float, ...] | None, world: Any) -> None:
     """Check a goal of the user's own.
 
     Raises:
-        UserError: the task's goals have another size, or a number is not finite.
+        UserError: the task's goals have another size, a number is not finite, or its goal can not be set.
     """
     size = world.observation_space["desired_goal"].shape[0]
+    if goal is not None and not hasattr(world, "goal"):
+        raise UserError(
+            f"--goal sets the attribute goal, which {type(world).__name__} lacks; let it keep its goal there"
+        )
     if goal is not None and (len(goal) != size or not np.isfinite(goal).all()):
         raise UserError(f"--goal {' '.join(map(str, goal))} does not fit; give {size} finite numbers")
 
@@ -49,6 +57,54 @@ def planned_dynamics(config: PlanConfig[Any], world: Any) -> Dynamics:
         raise UserError(f"--model.substeps {model.substeps} exceeds the {own} of {config.env}; use fewer")
     usual = min(own, config.usual.coarse_substeps or max(1, own // 4))
     return coarse(dynamics, model.substeps or usual)
+
+
+class Planned:
+    """Answers which dynamics to plan in now: the environment's as it is, or a copy that keeps up with it."""
+
+    def __init__(self, config: PlanConfig[Any], world: Any) -> None:
+        self._config, self._world = config, world
+        self._make()
+
+    def _make(self) -> None:
+        world = self._world
+        self._own, self._model = world.dynamics, world.model
+        self._dynamics = planned_dynamics(self._config, world)
+        self._watched = Watched(self._own.model), WatchedDynamics(self._own)
+
+    def __call__(self) -> Dynamics:
+        """The dynamics to plan in."""
+        world = self._world
+        if world.dynamics is not self._own or world.model is not self._model:
+            self._make()
+        elif self._dynamics is not self._own:
+            numbers, attributes = (watched.changed() for watched in self._watched)
+            if attributes or (numbers and not still_serves(self._dynamics)):
+                self._make()
+            elif numbers:
+                refresh(self._dynamics)
+        return self._dynamics
+
+
+def verify_task(config: PlanConfig[Any], run: RunOptions) -> Verified:
+    """Try on another environment of the same kind whether plans of a session would come true.
+
+    Raises:
+        UserError: the environment fails; the sentence says where.
+    """
+    env = tasks.make(config.env)
+    planned = Planned(config, env.unwrapped)
+    try:
+        with RolloutEngine(planned(), run.threads, source=planned) as engine:
+            return verify(env, engine, config.env)
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(
+            f"{config.env} failed while it was tried, with {describe_failure(error)}; correct it"
+        ) from error
+    finally:
+        env.close()
 
 
 def proposers(config: PlanConfig[Any], model: Model | None, n_actions: int) -> list[Actor]:
