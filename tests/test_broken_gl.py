@@ -25,7 +25,7 @@ def test_commands_run_without_pictures_and_say_so(tmp_path, command):
 
 
 def test_a_display_that_works_is_left_alone(monkeypatch):
-    from napsp.envs.gl import import_mujoco
+    from napsp.opengl import import_mujoco
 
     monkeypatch.setenv("MUJOCO_GL", "nonsense")  # mujoco is imported already, with what worked
     import_mujoco()

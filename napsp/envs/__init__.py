@@ -11,7 +11,7 @@ import farama_notifications
 # gymnasium-robotics prints a notice about its Adroit tasks on import; no task here is one.
 farama_notifications.notifications.pop("gymnasium_robotics", None)
 
-from napsp.envs.gl import import_mujoco  # noqa: E402
+from napsp.opengl import import_mujoco  # noqa: E402
 
 import_mujoco()  # before anything else does
 
