@@ -8,6 +8,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 
@@ -42,6 +43,22 @@ def run_command(main: Callable[[], int | None]) -> None:
     sys.exit(status or 0)
 
 
+def load_module(module: str, asked: str) -> ModuleType:
+    """Import a module by its name.
+
+    Args:
+        module: its name.
+        asked: what the user gave, for the message.
+
+    Raises:
+        UserError: it can not be imported.
+    """
+    try:
+        return importlib.import_module(module)
+    except Exception as error:  # the module is the user's own
+        raise _cannot_load(asked, error) from None
+
+
 def load_object(name: str) -> Any:
     """What ``module:attribute`` names.
 
@@ -50,13 +67,19 @@ def load_object(name: str) -> Any:
     """
     module, _, attribute = name.partition(":")
     try:
-        return getattr(importlib.import_module(module), attribute)
-    except Exception as error:  # the module is the user's own
-        kind = "" if isinstance(error, ImportError | AttributeError | ValueError) else f"{type(error).__name__}: "
-        raise UserError(
-            f"cannot load {name} ({kind}{error}); give module:name and start the command in the folder that holds the "
-            "module"
-        ) from None
+        return getattr(load_module(module, name), attribute)
+    except UserError:
+        raise
+    except Exception as error:  # a module's own __getattr__ may raise anything
+        raise _cannot_load(name, error) from None
+
+
+def _cannot_load(name: str, error: Exception) -> UserError:
+    kind = "" if isinstance(error, ImportError | AttributeError | ValueError) else f"{type(error).__name__}: "
+    return UserError(
+        f"cannot load {name} ({kind}{error}); give module:name and start the command in the folder that holds the "
+        "module"
+    )
 
 
 def describe_failure(error: Exception) -> str:

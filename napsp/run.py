@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -23,6 +21,7 @@ from napsp.distance.graph import explained
 from napsp.envs.actions import used_actions
 from napsp.errors import UserError
 from napsp.execution import Execution
+from napsp.interruption import Interruption
 from napsp.learner import Learner
 from napsp.parts import build_learner
 from napsp.policy.greedy import GreedyPolicy
@@ -39,6 +38,7 @@ from napsp.storage.resume import (
 )
 from napsp.storage.revision import git_revision
 
+SIZED = ("observations", "actions", "desired_goals")
 EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
 
 
@@ -57,10 +57,9 @@ class Run:
     seconds_before: float
     started: float
     revisions: list[str]
-    explorers: Explorers | None = None
-    interrupted: bool = False
+    explorers: Explorers | None
+    interruption: Interruption
     on_evaluation: Callable[[Row], Any] | None = None
-    _previous_handler: Any = signal.SIG_DFL
     _previous_precision: str = "highest"
 
     @classmethod
@@ -70,8 +69,13 @@ class Run:
         envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
         state = folder / STATE_FILE
         saved = read_training(state, config) if state.is_file() and not restart else None
-        if saved and saved[0]["buffer.observations"].shape[-1] != sizes_of(envs[0])[0]:
+        if saved and sizes_of(envs[0]) != tuple(saved[0][f"buffer.{name}"].shape[-1] for name in SIZED):
             raise UserError(f"{folder} holds a run of another version of {config.env}; --restart begins anew")
+        if not saved and not restart and (folder / MODEL_FILE).is_file():
+            raise UserError(
+                f"{folder} holds a model and not the state of its training, so it cannot be continued; choose another "
+                "--out, or --restart to overwrite it"
+            )
         warmup = warmup_episodes(saved[0], config) if saved else None
         learner = new_learner(config, envs, warmup, execution)
         if restart:  # not before all settings have proved possible
@@ -108,10 +112,10 @@ class Run:
             time.monotonic(),
             revisions,
             explorers,
+            Interruption(),
         )
         if iteration < run.n_iterations:
             (folder / RECORD_FILE).unlink(missing_ok=True)  # it belongs to a shorter run
-        run._previous_handler = signal.signal(signal.SIGINT, run._interrupt)
         run._previous_precision = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision(config.matmul_precision)
         return run
@@ -180,15 +184,14 @@ class Run:
         path, episodes = self.folder / MODEL_FILE, len(learner.buffer)
         save_model(path, learner.agent.policy, distance, self.config, self.sizes, episodes, visits)
 
-    def _interrupt(self, signum: int, frame: FrameType | None) -> None:
-        if self.interrupted:
-            raise KeyboardInterrupt
-        self.interrupted = True
-        print("\nfinishing this iteration and saving; press Ctrl-C again to stop at once", flush=True)
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C asked for an end."""
+        return self.interruption.asked
 
     def close(self) -> None:
         """Release environments; say how to go on after an interruption."""
-        signal.signal(signal.SIGINT, self._previous_handler)
+        self.interruption.close()
         torch.set_float32_matmul_precision(self._previous_precision)
         self.progress.close()
         for env in [*self.envs, *(self.explorers.worlds if self.explorers else [])]:

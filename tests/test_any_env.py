@@ -215,6 +215,22 @@ def test_the_documented_example_plans_exactly_and_its_post_is_in_the_way(monkeyp
     env.close()
 
 
+def test_an_id_of_a_package_is_spelled_as_gymnasium_spells_it(tmp_path, monkeypatch):
+    entry = "entry_point='napsp.envs.point_maze:PointMazeEnv', kwargs={'scale': 3.0}"
+    lines = ["import gymnasium", f"gymnasium.register('user/Big-v0', {entry}, max_episode_steps=7)"]
+    (tmp_path / "their_package.py").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(UserError, match=r"unknown environment 'user/Big-v0'; .* package:Id"):
+        envs.make("user/Big-v0")
+    name = "their_package:user/Big-v0"
+    assert envs.canonical_name(name) == name and envs.file_name(name) == "their_package-user-Big-v0"
+    assert preset(name).episode_length == envs.episode_length(name) == 7
+    assert envs.make(name).unwrapped.scale == envs.make("user/Big-v0").unwrapped.scale == 3.0
+    assert envs.canonical_name("napsp.envs:napsp/PointMaze-v0") == "point_maze"
+    with pytest.raises(UserError, match="cannot load their_package:user/Small-v0"):
+        envs.canonical_name("their_package:user/Small-v0")
+
+
 @pytest.mark.slow
 def test_a_class_of_the_users_own_trains_and_plans(tmp_path):
     (tmp_path / "my_maze.py").write_text(USER_MODULE)

@@ -107,6 +107,18 @@ def test_the_episode_length_is_part_of_the_file(saved, monkeypatch):
     torch.testing.assert_close(load_model(path, "point_maze").distance(*rows), distance(*rows).detach())
 
 
+def test_a_file_must_say_what_it_was_trained_with(saved):
+    path, _ = saved
+    tensors, header = read_tensors(path, "model")
+    for lost in ("episode_length", "sizes"):
+        write_tensors(path, tensors, {name: value for name, value in header.items() if name != lost})
+        with pytest.raises(UserError, match="does not say what sizes and which episode length"):
+            load_model(path, "point_maze")
+    write_tensors(path, tensors, {**header, "format": "napsp-99"})
+    with pytest.raises(UserError, match=r"has format napsp-99, .* use a newer version"):
+        load_model(path, "point_maze")
+
+
 @pytest.mark.parametrize(
     ("name", "env", "options"),
     [

@@ -81,6 +81,21 @@ def test_both_counts_are_those_of_a_dictionary_and_follow_another_scaling(monkey
     assert sum(model.visit_table.counts) == 60 and [sum(t.counts) for t in model.tables()[1:]] == [10 * 21] * 3
 
 
+def test_a_long_episode_is_counted_in_parts_of_bounded_size(monkeypatch):
+    rng, config = np.random.default_rng(0), CountConfig(visit_bits=7, pair_bits=7, goal_cell=0.06)
+    scaling, episodes = scalings(rng), random_episodes(10, rng)
+    whole, parts = (CountModel(SIZES, config, scaling, np.random.default_rng(2)) for _ in range(2))
+    whole.update(episodes)
+    added, add = [], module.KeyCounts.add
+    monkeypatch.setattr(module.KeyCounts, "add", lambda self, keys: added.append(len(keys)) or add(self, keys))
+    monkeypatch.setattr(module, "PAIRS_AT_ONCE", 130)  # of 210
+    parts.update(episodes)
+    assert added[0] == 60 and max(added[1:]) <= 130 and sum(added[1:]) == 3 * 210
+    for one, other in zip(whole.tables(), parts.tables(), strict=True):
+        np.testing.assert_array_equal(one.keys, other.keys)
+        np.testing.assert_array_equal(one.counts, other.counts)
+
+
 def test_the_shifts_of_lattices_are_spread_evenly_and_keys_are_odd_multiples():
     rng = np.random.default_rng(0)
     model = CountModel((3, 2, 4), CountConfig(n_lattices=4, goal_cell=0.25), Scaling(*np.zeros((4, 1))), rng)

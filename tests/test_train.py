@@ -137,6 +137,31 @@ def test_interrupt_saves_and_the_same_command_goes_on(tmp_path, capsys):
     assert read_tensors(tmp_path / STATE_FILE, "training state")[1]["iteration"] > 0
 
 
+def test_training_works_in_a_thread_and_leaves_ctrl_c_alone(tmp_path):
+    rows, handler = [], signal.getsignal(signal.SIGINT)
+    thread = threading.Thread(target=lambda: rows.extend(train(tiny(n_episodes=8), tmp_path)))
+    thread.start()
+    while thread.is_alive():
+        assert signal.getsignal(signal.SIGINT) is handler
+        thread.join(0.05)
+    assert rows[-1]["episodes"] == 8 and (tmp_path / "training_curve.png").is_file()
+
+
+def test_a_run_is_not_continued_with_episodes_of_another_length(tmp_path, monkeypatch):
+    train(tiny(n_episodes=8), tmp_path)
+    monkeypatch.setattr("napsp.config.episode_length", lambda env: 20)
+    with pytest.raises(UserError, match="episodes of 50 steps, and point_maze has 20 now; put its time limit back"):
+        train(tiny(), tmp_path)
+
+
+def test_a_model_without_the_state_of_its_training_is_not_replaced(tmp_path):
+    train(tiny(n_episodes=8), tmp_path)
+    (tmp_path / STATE_FILE).unlink()
+    with pytest.raises(UserError, match="holds a model and not the state of its training"):
+        train(tiny(), tmp_path)
+    assert train(tiny(), tmp_path, restart=True)[-1]["episodes"] == 16
+
+
 def test_other_settings_in_the_same_folder_are_refused(tmp_path):
     train(tiny(), tmp_path)
     with pytest.raises(UserError, match=r"other settings \(policy\.discount\)"):

@@ -12,7 +12,7 @@ Keys are stored exactly, never in a shared table, so "never seen" has no false n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,8 @@ from napsp.data.episodes import Episodes
 from napsp.scaling import Scaling
 from napsp.settings import MANY, TINY, check_ranges
 
-RECOUNT_CHUNK = 200  # episodes; the keys of their pairs i < j fill 4 MB at T = 50, 800 MB at T = 700
+RECOUNT_CHUNK = 200  # episodes
+PAIRS_AT_ONCE = 2**18  # keys of pairs i < j, 2 MB; sorting them takes a few times that, however long an episode is
 
 
 @dataclass(frozen=True)
@@ -200,15 +201,16 @@ class CountModel:
     def update(self, episodes: Episodes) -> None:
         """Count every visited (s_i, a_i) and every (s_i, a_i, phi(s_j)) with j > i.
 
-        Algorithm 1, line 4. Each pair i < j of an episode counts once.
+        Algorithm 1, line 4. Each pair i < j of an episode counts once. Working memory does not grow with T squared, and
+        the tables grow with the cells that were seen.
         """
         pairs = scaled_pairs(self.scaling, episodes.observations[:, :-1], episodes.actions)
         self.visit_table.add(self.visit_hash(pairs).ravel())
         goals = self.scaling.goal(episodes.achieved_goals)
-        first, later = np.triu_indices(goals.shape[1], k=1)
         for table in self.reached_tables:
             starts, ends = table.pair_part(pairs), table.goal_part(goals)
-            table.table.add((starts[:, first] + ends[:, later]).ravel())
+            for first, later in _pairs(goals.shape[1], max(1, PAIRS_AT_ONCE // len(episodes))):
+                table.table.add((starts[:, first] + ends[:, later]).ravel())
 
     def recount(self, episodes: Episodes, scaling: Scaling) -> None:
         """Count all episodes again under another scaling."""
@@ -247,6 +249,15 @@ class VisitCounts:
     def __call__(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """N(s, a), ``(B,)``."""
         return self.table.count(self.hash(scaled_pairs(self.scaling, observations, actions)))
+
+
+def _pairs(n_states: int, at_once: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """All i < j below ``n_states``, in parts of about ``at_once``, each of whole rows of one i."""
+    rows = max(1, at_once // n_states)
+    for start in range(0, n_states - 1, rows):
+        first = np.arange(start, min(start + rows, n_states - 1))
+        i, j = np.nonzero(np.arange(n_states) > first[:, None])
+        yield i + start, j
 
 
 def scaled_pairs(scaling: Scaling, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:

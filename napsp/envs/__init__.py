@@ -19,7 +19,7 @@ import gymnasium  # noqa: E402
 
 from napsp.envs.cards import CARDS  # noqa: E402
 from napsp.envs.wrappers import unwrapped  # noqa: E402
-from napsp.errors import UserError, load_object  # noqa: E402
+from napsp.errors import UserError, load_module, load_object  # noqa: E402
 
 DEFAULT_EPISODE_LENGTH = 50  # of a class given as module:Class that names none
 NAMES = {name: task for task, card in CARDS.items() for name in (card.gym_id, *card.aliases)}
@@ -29,7 +29,8 @@ STOCK_WORDS = ("Fetch", "Hand", "Maze")  # ids with one of them are gymnasium-ro
 def canonical_name(name: str) -> str:
     """Resolve an alias or a Gymnasium id to a task name.
 
-    Other registered ids (``FetchPush-v4``) and classes (``my_module:MyEnv``) name themselves.
+    Other registered ids (``FetchPush-v4``, or ``my_package:user/Task-v0`` where a package has to be imported first, as
+    for ``gymnasium.make``) and classes (``my_module:MyEnv``) name themselves.
 
     Raises:
         UserError: the name is unknown; the message lists the known ones.
@@ -38,8 +39,8 @@ def canonical_name(name: str) -> str:
     if name in CARDS:
         return name
     if ":" in name:
-        load_object(name)
-        return name
+        gym_id = _registered(name)
+        return NAMES.get(gym_id, name) if gym_id else name
     if any(word in name for word in STOCK_WORDS):
         import gymnasium_robotics
 
@@ -48,8 +49,24 @@ def canonical_name(name: str) -> str:
         return name
     known = ", ".join([*CARDS, *(alias for card in CARDS.values() for alias in card.aliases)])
     raise UserError(
-        f"unknown environment {name!r}; choose one of: {known}, a registered Gymnasium id, or your own module:Class"
+        f"unknown environment {name!r}; choose one of: {known}, a registered Gymnasium id, package:Id where "
+        "a package registers it, or your own module:Class"
     )
+
+
+def _registered(name: str) -> str | None:
+    """The id that ``package:Id`` names, once the package is imported; None for ``module:Class`` and for a bare id.
+
+    Raises:
+        UserError: there is neither.
+    """
+    package, colon, attribute = name.partition(":")
+    if not colon:
+        return None
+    if attribute not in vars(load_module(package, name)) and attribute in gymnasium.registry:
+        return attribute
+    load_object(name)
+    return None
 
 
 def episode_length(name: str) -> int:
@@ -61,13 +78,14 @@ def episode_length(name: str) -> int:
     name = canonical_name(name)
     if name in CARDS:
         return CARDS[name].episode_length
-    if ":" in name:
+    gym_id = _registered(name) or name
+    if ":" in gym_id:
         steps = getattr(load_object(name), "max_episode_steps", DEFAULT_EPISODE_LENGTH)
         number = float(steps) if isinstance(steps, Real) else 0.0
         if not number.is_integer() or number < 1:
             raise UserError(f"max_episode_steps of {name} is {steps!r}; give a whole number of at least 1")
         return int(number)
-    steps = gymnasium.spec(name).max_episode_steps
+    steps = gymnasium.spec(gym_id).max_episode_steps
     if steps is None:
         raise UserError(f"{name} has no time limit; register it with max_episode_steps")
     return steps
@@ -82,7 +100,8 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
     name = canonical_name(name)
     if name in CARDS:
         return gymnasium.make(CARDS[name].gym_id, **kwargs)
-    load = load_object(name) if ":" in name else partial(gymnasium.make, name)
+    gym_id = _registered(name) or name
+    load = load_object(name) if ":" in gym_id else partial(gymnasium.make, gym_id)
     try:
         env: Any = load(**kwargs)
     except Exception as error:

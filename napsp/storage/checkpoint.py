@@ -16,7 +16,7 @@ from napsp.distance.network import DistanceNetwork
 from napsp.envs import canonical_name
 from napsp.errors import UserError
 from napsp.policy.actors import DeterministicPolicy, GaussianPolicy, Policy
-from napsp.storage.files import FORMAT, read_tensors, write_tensors
+from napsp.storage.files import FORMAT, OLDER, read_tensors, write_tensors
 from napsp.storage.older import todays
 from napsp.storage.revision import git_revision
 
@@ -107,11 +107,10 @@ def load_model(path: str | Path, env: str | None = None) -> Model:
         raise UserError(f"{path} was trained on {trained_on}, not on {env}; give a checkpoint of {env}")
     tensors, header = todays(tensors, header)
     config = from_dict(header["config"])
-    sizes = tuple(header["sizes"])
+    sizes, length = _sizes_and_length(header, config, path)
     policy: Policy = GaussianPolicy(sizes, config.hidden)
     if config.policy.agent == "ddpg":
         policy = DeterministicPolicy(sizes, config.hidden, config.policy.action_noise)
-    length = int(header.get("episode_length", config.episode_length))
     distance = DistanceNetwork(sizes, config.hidden, length, config.distance)
     has_distance = any(name.startswith("distance.") for name in tensors)
     _load(policy, "policy.", tensors, path)
@@ -128,6 +127,15 @@ def _narrow(array: np.ndarray) -> np.ndarray:
     """Integers in half the bytes where they fit; the projection as it is, for its signs must not change."""
     fits = array.dtype == np.int64 and array.max(initial=0) <= np.iinfo(np.int32).max
     return array.astype(np.int32) if fits else array
+
+
+def _sizes_and_length(header: dict[str, Any], config: TrainConfig, path: Path) -> tuple[tuple[int, int, int], int]:
+    """Widths and T of the file; of the first format, which has no T, that of the task."""
+    length = header.get("episode_length", config.episode_length if header["format"] == OLDER else None)
+    numbers = [*header.get("sizes", ()), length]
+    if len(numbers) != 4 or not all(type(number) is int and number > 0 for number in numbers):
+        raise UserError(f"{path} does not say what sizes and which episode length it was trained with; train it again")
+    return (numbers[0], numbers[1], numbers[2]), numbers[3]
 
 
 def _load_visits(

@@ -61,6 +61,9 @@ def read_tensors(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
     except (SafetensorError, ValueError) as error:
         raise UserError(f"{path} is damaged or not a safetensors file ({error}); copy or train it again") from None
-    if not isinstance(header, dict) or header.get("format") not in (FORMAT, OLDER) or header.get("kind") != kind:
+    written = str(header.get("format")) if isinstance(header, dict) else ""
+    if written.startswith("napsp-") and written not in (FORMAT, OLDER):
+        raise UserError(f"{path} has format {written}, which this version of napsp does not know; use a newer version")
+    if not written.startswith("napsp-") or header.get("kind") != kind:
         raise UserError(f"{path} is not a napsp {kind} file; train one with: python -m napsp.train --env NAME")
     return tensors, header

@@ -54,18 +54,15 @@ def save_figure(figure: Any, path: Path) -> None:
 
 def draw_curve(path: Path, config: TrainConfig, rows: list[Row]) -> None:
     """Success, distances and the rates of the triangular loss over training episodes."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    from matplotlib.figure import Figure  # not pyplot, which is for the main thread, and may be showing the user's own
 
     panels = {
         "success rate": ("success_rate", "any_success_rate"),
         "distance [steps]": ("mean_distance", "distance_at_goal"),
         "rates of eq. 4b": ("merging_rate", "relaxation_rate"),
     }
-    figure, axes = plt.subplots(1, len(panels), figsize=(10, 2.8), layout="constrained")
-    for axis, (title, names) in zip(axes, panels.items(), strict=True):
+    figure = Figure(figsize=(10, 2.8), layout="constrained")
+    for axis, (title, names) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
         for name in names:
             points = [(row["episodes"], row[name]) for row in rows if name in row]
             if points:

@@ -41,6 +41,7 @@ def save_training(
         "format": FORMAT,
         "kind": "training state",
         "config": to_dict(learner.config),
+        "episode_length": learner.config.episode_length,
         "iteration": iteration,
         "seconds": seconds,
         "scaled_at": learner.scaled_at,
@@ -57,11 +58,11 @@ def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], d
     The number of episodes may differ: a finished run can be prolonged.
 
     Raises:
-        UserError: damaged file, or a run with other settings.
+        UserError: damaged file, or a run with other settings or episodes of another length.
     """
     try:
         tensors, header = read_tensors(path, "training state")
-        if header["format"] != FORMAT:
+        if header["format"] != FORMAT or "episode_length" not in header:
             raise UserError(f"{path} was written by an older version of napsp; finish it there")
         saved = from_dict(header["config"])
     except UserError as error:
@@ -71,6 +72,11 @@ def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], d
         raise UserError(
             f"{path.parent} holds a run with other settings ({', '.join(different)}); "
             "choose another --out, or --restart to overwrite it"
+        )
+    if header["episode_length"] != config.episode_length:  # D, and all distances, are in units of it
+        raise UserError(
+            f"{path.parent} holds a run with episodes of {header['episode_length']} steps, and {config.env} has "
+            f"{config.episode_length} now; put its time limit back, choose another --out, or --restart to overwrite it"
         )
     return tensors, header
 

@@ -29,7 +29,8 @@ def run(planner: str, arguments: list[str]) -> int:
     import torch
 
     from planners.app.distance_field import DistanceField
-    from planners.app.record import default_folder
+    from planners.app.folder import claim, release
+    from planners.app.record import default_folder, describe_session
     from planners.app.report import Report
     from planners.app.session import Session
     from planners.app.video import Video
@@ -37,11 +38,9 @@ def run(planner: str, arguments: list[str]) -> int:
     torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
     session = Session.open(config, options)
     folder = options.out or default_folder(session.config, options)
-    folder.mkdir(parents=True, exist_ok=True)
+    replaces = claim(folder, describe_session(session))
     report = Report(folder, session)
-    report.announce()
-    for name in ("video.mp4", "distance_field.png"):
-        (folder / name).unlink(missing_ok=True)  # an older run's would look like this one's
+    report.announce(replaces)
     video = Video(folder / "video.mp4", session.env.unwrapped) if options.video and options.render == "none" else None
     field = DistanceField(session) if DistanceField.drawable(session) else None
     with warnings.catch_warnings():
@@ -58,6 +57,7 @@ def run(planner: str, arguments: list[str]) -> int:
             if not isinstance(error, KeyboardInterrupt) or not report.results:
                 if video is not None:
                     video.abandon()
+                release(folder)
                 raise
             report.note(f"interrupted after {len(report.results)} of {options.episodes} episodes")
     if video is not None:

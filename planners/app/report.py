@@ -30,8 +30,8 @@ class Report:
         # A file or a pipe has no width; a fixed one keeps lines whole.
         self._console = Console(width=None if Console().is_terminal else 110)
 
-    def announce(self) -> None:
-        """Say what is about to run."""
+    def announce(self, line: str | None = None) -> None:
+        """Say what is about to run, then a further line."""
         config, model = self._session.config, self._session.model
         source = f"d trained for {model.header['episodes']} episodes" if model else "no checkpoint"
         self._console.print(
@@ -45,6 +45,8 @@ class Report:
                 f"planning model: coarse, {planned} physics steps per control step; the environment runs {own}",
                 highlight=False,
             )
+        if line:
+            self._console.print(line, highlight=False, soft_wrap=True)
 
         if self._session.verified is not None:
             self._console.print(f"tried: {self._session.verified}", highlight=False)
