@@ -15,7 +15,7 @@ from torch import Tensor
 
 from napsp.config import TrainConfig
 from napsp.data.buffer import EpisodeBuffer, sample_pairs, sample_triples
-from napsp.data.episodes import Episodes, SparseReward, concatenate
+from napsp.data.episodes import ARRIVED, Episodes, SparseReward, concatenate
 from napsp.distance.graph import ReplayGraph
 from napsp.distance.labels import hypotenuse, temporal_label
 from napsp.policy.agent import Agent, PolicyBatch
@@ -117,7 +117,10 @@ class Learner:
         if not config.n_temporal_updates:
             return {}
         arrival = self.sparse_reward if config.temporal.first_arrival else None
-        pairs = sample_pairs(self._regressed(recent), config.n_temporal_updates * size, self.rng, arrival)
+        regressed = self._regressed(recent)
+        if not regressed.n_steps:  # all of them blew up at once
+            return {}
+        pairs = sample_pairs(regressed, config.n_temporal_updates * size, self.rng, arrival)
         rows = self.distance.rows(pairs.observations, pairs.actions, pairs.goals)
         labels = torch.from_numpy(pairs.steps_between).to(rows.device)
         if config.method != "ddl":
@@ -143,20 +146,26 @@ class Learner:
         """Algorithm 1, lines 10-17: raise or relax d(s_i, a_i, s_g) through waypoints (eq. 4b).
 
         A label that raises the distance merges, one that lowers it relaxes; the rates are
-        shares of all sampled tuples (figure 5).
+        shares of all sampled tuples (figure 5). An action after which nothing is reached any more is T from any goal
+        that it did not reach, whatever the waypoint; the paper's tasks have none.
         """
         config, counts, distance = self.config, self.counts, self.distance
+        if not recent.n_steps:
+            return {}
         n_batches, size = config.n_triangular_updates, config.batch_size
         triples = sample_triples(recent, self.buffer.episodes(), n_batches * size, self.rng)  # 11, 12
         unconnected = counts.reached(triples.observations, triples.actions, triples.goals) == 0
         connected = counts.reached(triples.waypoints, triples.waypoint_actions, triples.goals) > 0
         passed = unconnected & (connected if config.triangular.require_reached_waypoint else True)  # 13
+        passed |= unconnected & triples.lost
         start = triples.observations[passed], triples.actions[passed]
         waypoint = triples.waypoints[passed], triples.waypoint_actions[passed]
         first_leg = distance.target_steps(distance.rows(*start, triples.waypoint_goals[passed]))
         second_leg = distance.target_steps(distance.rows(*waypoint, triples.goals[passed]))
         cap = float(config.episode_length) if config.triangular.cap else None
         labels = hypotenuse(first_leg, second_leg, cap)  # 14
+        if triples.lost.any():
+            labels[torch.from_numpy(triples.lost[passed])] = float(config.episode_length)
         rows = distance.rows(*start, triples.goals[passed])
         n_passed = passed.reshape(n_batches, size).sum(1).tolist()
         merged = 0.0
@@ -169,18 +178,22 @@ class Learner:
         return {"merging_rate": merged / n_sampled, "relaxation_rate": (len(labels) - merged) / n_sampled}
 
     def train_policy(self) -> Metrics:
-        """Algorithm 1, lines 18-21: HER future relabelling, reward -d / T, SAC or DDPG."""
+        """Algorithm 1, lines 18-21: HER future relabelling, reward -d / T, SAC or DDPG.
+
+        Where nothing is reached any more, d is T: no pair of an episode could tell the network so.
+        """
         config = self.config
         if not config.n_policy_updates:
             return {}
         n_sampled = config.n_policy_updates * config.batch_size
         drawn = sample_relabelled(self.buffer.episodes(), n_sampled, config.her, self.sparse_reward, self.rng)
-        rewards, metrics = torch.from_numpy(drawn.rewards), {}
+        rewards, ended, metrics = torch.from_numpy(drawn.rewards), torch.from_numpy(drawn.ended), {}
         if config.learns_distance:  # with today's d: stored rewards would be stale
             steps = self.distance.steps(self.distance.rows(drawn.observations, drawn.actions, drawn.goals))
             rewards, metrics = -steps / config.episode_length, {"mean_distance": float(steps.mean())}
+            rewards = torch.where(ended.to(rewards.device) == 1, -1.0, rewards)
         raw = (drawn.observations, drawn.actions, drawn.next_observations, drawn.goals)
-        transitions = PolicyBatch(*map(torch.from_numpy, raw), rewards)
+        transitions = PolicyBatch(*map(torch.from_numpy, raw), rewards, ended)
         return {**metrics, **self.agent.train(transitions, config.batch_size, self.generator)}
 
     def search_graph(self, iteration: int) -> Metrics:
@@ -203,14 +216,20 @@ class Learner:
         if self.graph is not None:
             known = 1.0 + self.graph.steps(drawn.next_achieved, drawn.goals)
         observed = drawn.steps_between if config.bootstrap.bound else np.full_like(drawn.steps_between, np.inf)
-        if self.lasting:
+        if self.lasting and not self.arriving_ends:
             followed = np.isfinite(drawn.after).all(1)
             stayed = np.zeros(n_sampled, bool)
             stayed[followed] = self.sparse_reward(drawn.after[followed], drawn.goals[followed]) == 0
             observed = np.where(stayed, observed, np.float32(np.inf))
         raw = (drawn.observations, drawn.actions, drawn.next_observations, drawn.goals)
-        batch = DescentBatch(*map(torch.from_numpy, (*raw, drawn.rewards == 0, observed, known, drawn.next_achieved)))
+        seen = (drawn.rewards == 0, observed, known, drawn.next_achieved, drawn.ended)
+        batch = DescentBatch(*map(torch.from_numpy, (*raw, *seen)))
         return self.agent.train(batch, config.batch_size, self.generator) | {"known": float(np.isfinite(known).mean())}
+
+    @property
+    def arriving_ends(self) -> bool:
+        """Whether the task was seen to terminate episodes at their goals: no arrival has to last there."""
+        return bool((self.buffer.episodes().endings == ARRIVED).any())
 
     def extend_buffer(self, recent: Episodes) -> None:
         """Algorithm 1, line 22: D <- D + D_last.
@@ -230,6 +249,5 @@ class Learner:
 
 def scaling_of(episodes: Episodes) -> Scaling:
     """Scaling of all inputs; achieved and desired goals together, as random play stays near the start."""
-    achieved = episodes.achieved_goals
-    goals = np.concatenate([achieved.reshape(-1, achieved.shape[-1]), episodes.desired_goals])
-    return Scaling.estimate(episodes.observations, goals)
+    goals = np.concatenate([episodes.states(episodes.achieved_goals), episodes.desired_goals])
+    return Scaling.estimate(episodes.states(episodes.observations), goals)

@@ -14,7 +14,7 @@ import torch
 from napsp import envs as tasks
 from napsp.config import TrainConfig
 from napsp.data.collect import Actor, ExplorationConfig, ExploringActor, roll
-from napsp.data.episodes import Episodes, concatenate
+from napsp.data.episodes import BLOWN, Episodes, concatenate
 from napsp.data.explorers import Explorers
 from napsp.data.outcomes import evaluate
 from napsp.distance.graph import explained
@@ -147,12 +147,12 @@ class Run:
         last = iteration == self.n_iterations - 1
         due = done // config.evaluate.every > (done - config.episodes_per_iteration) // config.evaluate.every
         if due or last:
-            timing = {"seconds": seconds, "steps_per_second": done * config.episode_length / seconds}
-            left = {"minutes_left": seconds_left / 60}
-            row: Row = {"episodes": float(done), **self._evaluate(), **metrics, **timing, **left}
+            timing = {"seconds": seconds, "steps_per_second": self.learner.buffer.episodes().n_steps / seconds}
+            timing |= {"minutes_left": seconds_left / 60}
+            row: Row = {"episodes": float(done), **self._evaluate(), **metrics, **self._blow_ups(), **timing}
             self.progress.report(row)
             if self.on_evaluation is not None and self.on_evaluation(row) is False:
-                self.interrupted = True
+                self.interruption.asked = True
         if due or last or self.interrupted:
             self._save(iteration + 1, seconds)
         return self.interrupted
@@ -173,6 +173,14 @@ class Run:
             distance = self.learner.distance
             row["distance_at_goal"] = float(distance.steps(distance.rows(last, actor(last, goals), goals)).mean())
         return row
+
+    def _blow_ups(self) -> Row:
+        """How many of the episodes so far ended because the simulation blew up, if any did; also said."""
+        n = int((self.learner.buffer.episodes().endings == BLOWN).sum())
+        if not n:
+            return {}
+        print(f"the simulation blew up in {n} of {len(self.learner.buffer)} episodes, which end before", flush=True)
+        return {"blow_ups": float(n)}
 
     def _save(self, iteration: int, seconds: float) -> None:
         learner = self.learner
@@ -218,6 +226,8 @@ def new_learner(
         raise UserError(f"{config.env} has no box to hold; use --explore.held-starts 0")
     if warmup is None:
         warmup = warm_up(envs, config, rng, generator)
+        if not warmup.n_steps:
+            raise UserError(f"no episode of {config.env} lasts a step: its simulation blows up; correct its dynamics")
     envs[0].reset(seed=config.seed)
     used = used_actions(envs[0].unwrapped)
     return build_learner(config, sizes_of(envs[0]), warmup, sparse_reward(envs[0]), rng, generator, execution, used)
@@ -241,4 +251,5 @@ def _starts(config: ExplorationConfig, n: int, rng: np.random.Generator) -> list
 
 def sparse_reward(env: Any) -> Any:
     """The task's own reward, for achieved goals and goals ``(n, G)``: 0 where reached, else -1 ``(n,)``."""
-    return lambda achieved, goals: np.asarray(env.unwrapped.compute_reward(achieved, goals, {}), np.float32)
+    compute_reward = env.get_wrapper_attr("compute_reward")
+    return lambda achieved, goals: np.asarray(compute_reward(achieved, goals, {}), np.float32)

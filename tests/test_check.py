@@ -10,6 +10,7 @@ from gymnasium import spaces
 
 from napsp import envs
 from napsp.data.collect import roll
+from napsp.data.episodes import BLOWN, CUT
 from napsp.envs.check import check_finite, check_task
 from napsp.envs.open_loop import OpenLoopEnv
 from napsp.envs.point_maze import PointMazeEnv
@@ -155,7 +156,7 @@ def test_a_success_test_need_not_broadcast_and_the_task_handed_out_is_untouched(
     env.close()
 
 
-def test_numbers_that_are_not_finite_stop_collection_and_planning():
+def test_numbers_that_are_not_finite_end_an_episode_and_stop_planning():
     class Lost(PointMazeEnv):
         """The observation fails in the third step."""
 
@@ -170,9 +171,10 @@ def test_numbers_that_are_not_finite_stop_collection_and_planning():
                 observation["achieved_goal"] = np.array([np.nan, 0.0])
             return observation, *others
 
-    with pytest.raises(UserError, match="Lost observed numbers that are not finite in achieved_goal"):
-        roll([Lost()], lambda observations, goals: np.zeros((1, 2)), [0], 5)
-    roll([Lost()], lambda observations, goals: np.zeros((1, 2)), [0], 2)
+    with pytest.warns(RuntimeWarning, match="the simulation of Lost blew up; the episode ends before"):
+        episodes = roll([Lost()], lambda observations, goals: np.zeros((1, 2)), [0], 5)
+    assert episodes.lengths == [2] and episodes.endings == [BLOWN] and np.isfinite(episodes.achieved_goals).all()
+    assert roll([Lost()], lambda observations, goals: np.zeros((1, 2)), [0], 2).endings == [CUT]
     with pytest.raises(UserError, match="desired_goal"):
         check_finite(
             {"observation": np.zeros(2), "achieved_goal": np.zeros(1), "desired_goal": np.array([np.inf])}, "x"

@@ -155,7 +155,8 @@ def batch_of(n, seed=0, **changes):
     rows = [torch.randn(n, size, generator=generator) for size in (3, 2, 3, 2)]
     changes = {"next_achieved": torch.randn(n, 2, generator=generator), **changes}
     known = {"arrived": torch.zeros(n, dtype=torch.bool), "observed": torch.full((n,), INF)}
-    return DescentBatch(*rows, **{**known, "known": torch.full((n,), NAN), **changes})
+    nowhere = {"known": torch.full((n,), NAN), "ended": torch.full((n,), NAN)}
+    return DescentBatch(*rows, **{**known, **nowhere, **changes})
 
 
 def test_labels_bootstrap_from_the_slow_networks_at_the_slow_policys_action():

@@ -101,7 +101,7 @@ def test_a_phase_is_its_batches_one_after_the_other_each_with_noise_of_its_own(k
     metrics = whole.train(transitions, 64, torch.Generator().manual_seed(7))
     observations, goals = (transitions.observations - 0.5) / 2.0, transitions.goals - 1.0
     following = (transitions.next_observations - 0.5) / 2.0
-    scaled = PolicyBatch(observations, transitions.actions, following, goals, transitions.rewards)
+    scaled = PolicyBatch(observations, transitions.actions, following, goals, transitions.rewards, transitions.ended)
     rows = []
     for k in range(3):
         rows_of_batch = slice(64 * k, 64 * k + 64)

@@ -104,9 +104,13 @@ def test_the_field_lies_the_right_way_round():
         (["--env", "fetch_reach", "--samples", "4", "--horizon", "2", "--no-video", "--threads", "1"], False),
     ],
 )
-def test_the_distance_is_drawn_where_there_is_a_map_and_a_distance(arguments, drawn, tmp_path, capsys):
+def test_the_distance_is_drawn_where_there_is_a_map_and_a_distance(arguments, drawn, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("napsp.envs.episode_length", lambda name: 3)
+    command = [*arguments, "--episodes", "1", "--out", str(tmp_path)]
+    run("mppi", command)
+    capsys.readouterr()
     (tmp_path / "distance_field.png").write_bytes(b"of an older run")
-    assert run("mppi", [*arguments, "--episodes", "1", "--out", str(tmp_path)]) == 0
+    assert run("mppi", command) == 0
     picture = tmp_path / "distance_field.png"
     assert picture.exists() == drawn == ("distance field" in capsys.readouterr().out)
     assert not drawn or picture.read_bytes()[:4] == PNG

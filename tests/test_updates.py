@@ -41,7 +41,9 @@ def batches():
         shapes = (BATCH, 6), (BATCH, 3), (BATCH, 6), (BATCH, 2), (BATCH,)
         draws = torch.randn, torch.rand, torch.randn, torch.randn, torch.rand
         values = [draw(*shape, generator=generator) for draw, shape in zip(draws, shapes, strict=True)]
-        yield PolicyBatch(values[0], values[1] * 2 - 1, values[2], values[3], -values[4])
+        yield PolicyBatch(
+            values[0], values[1] * 2 - 1, values[2], values[3], -values[4], torch.full((BATCH,), torch.nan)
+        )
 
 
 @pytest.mark.parametrize("name", CONFIGS)

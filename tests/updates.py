@@ -13,7 +13,9 @@ SIZES, HIDDEN = (5, 2, 3), (32, 16)
 def batch(n=64):
     generator = torch.Generator().manual_seed(1)
     rows = [torch.randn(n, size, generator=generator) for size in (5, 2, 5, 3)]
-    return PolicyBatch(rows[0], rows[1].tanh(), rows[2], rows[3], -torch.rand(n, generator=generator))
+    return PolicyBatch(
+        rows[0], rows[1].tanh(), rows[2], rows[3], -torch.rand(n, generator=generator), torch.full((n,), torch.nan)
+    )
 
 
 def rows_of(transitions):

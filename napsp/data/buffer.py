@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from napsp.data.episodes import FIELDS, Episodes, SparseReward
+from napsp.data.episodes import FIELDS, LOST, Episodes, SparseReward, draw_steps
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class Triples:
     waypoints: np.ndarray
     waypoint_actions: np.ndarray
     waypoint_goals: np.ndarray
+    lost: np.ndarray
+    """Whether a_i ended its episode where nothing is reached any more, bool."""
 
 
 class EpisodeBuffer:
@@ -48,7 +50,7 @@ class EpisodeBuffer:
             new = getattr(episodes, name)
             stored = self._arrays.get(name)
             if stored is None or end > len(stored):
-                grown = np.empty((max(end, 2 * self._size, 64), *new.shape[1:]), np.float32)
+                grown = np.empty((max(end, 2 * self._size, 64), *new.shape[1:]), new.dtype)
                 if stored is not None:
                     grown[: self._size] = stored[: self._size]
                 self._arrays[name] = stored = grown
@@ -64,12 +66,15 @@ class EpisodeBuffer:
 def sample_pairs(
     episodes: Episodes, n: int, rng: np.random.Generator, sparse_reward: SparseReward | None = None
 ) -> Pairs:
-    """Draw n pairs i < j, uniform over episodes and over the pairs of an episode.
+    """Draw n pairs i < j, uniform over the pairs of an episode; an episode is as likely as it is long.
 
     With ``sparse_reward`` the steps between them end where it first finds the goal phi(s_j) reached.
     """
-    length = episodes.actions.shape[1]
-    episode = rng.integers(len(episodes), size=n)
+    if episodes.whole:
+        episode, length = rng.integers(len(episodes), size=n), episodes.actions.shape[1]
+    else:
+        episode = draw_steps(episodes, n, rng)[0]
+        length = episodes.lengths[episode]
     first = rng.integers(length + 1, size=n)
     second = rng.integers(length, size=n)
     second += second >= first  # a uniform ordered pair without equal indices
@@ -104,9 +109,8 @@ def _first_arrivals(
 
 def sample_triples(recent: Episodes, everything: Episodes, n: int, rng: np.random.Generator) -> Triples:
     """Draw n triples: s_i and its episode's desired goal from D_last, s_j from D."""
-    length = recent.actions.shape[1]
-    episode, i = rng.integers(len(recent), size=n), rng.integers(length, size=n)
-    other, j = rng.integers(len(everything), size=n), rng.integers(length, size=n)
+    episode, i = draw_steps(recent, n, rng)
+    other, j = draw_steps(everything, n, rng)
     return Triples(
         observations=recent.observations[episode, i],
         actions=recent.actions[episode, i],
@@ -114,4 +118,5 @@ def sample_triples(recent: Episodes, everything: Episodes, n: int, rng: np.rando
         waypoints=everything.observations[other, j],
         waypoint_actions=everything.actions[other, j],
         waypoint_goals=everything.achieved_goals[other, j],
+        lost=(recent.endings[episode] == LOST) & (i + 1 == recent.lengths[episode]),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,8 @@ import gymnasium
 import numpy as np
 import torch
 
-from napsp.data.episodes import Episodes
+from napsp.data.episodes import ARRIVED, BLOWN, CUT, LOST, Episodes
+from napsp.envs.blowups import BlowUpDetector
 from napsp.envs.check import check_finite
 from napsp.policy.actors import Policy
 from napsp.settings import MANY, check_ranges
@@ -67,10 +69,13 @@ def roll(
     length: int,
     options: Sequence[dict[str, Any] | None] | None = None,
 ) -> Episodes:
-    """Run one episode of ``length`` steps in each environment, in lockstep; ``options`` are its reset's.
+    """Run one episode of at most ``length`` steps in each environment, in lockstep; ``options`` are its reset's.
+
+    An episode ends where its environment says so, which is not asked any further, and before a step in which its
+    simulation blew up, which is warned of.
 
     Raises:
-        UserError: an environment observed numbers that are not finite.
+        UserError: an environment observed numbers that are not finite after its reset.
     """
     resets = zip(envs, seeds, options or [None] * len(envs), strict=True)
     starts = [env.reset(seed=seed, options=chosen)[0] for env, seed, chosen in resets]
@@ -78,19 +83,35 @@ def roll(
     observations = np.empty((n, length + 1, *spaces["observation"].shape), np.float32)
     achieved = np.empty((n, length + 1, *spaces["achieved_goal"].shape), np.float32)
     goals = np.stack([start["desired_goal"] for start in starts]).astype(np.float32)
-    actions = np.empty((n, length, *envs[0].action_space.shape), np.float32)  # type: ignore[misc]
-    current = starts
-    for t in range(length + 1):
-        for e, values in enumerate(current):
-            observations[e, t] = values["observation"]
-            achieved[e, t] = values["achieved_goal"]
-        if t == length:
-            break
-        actions[:, t] = actor(observations[:, t], goals)
-        current = [env.step(actions[e, t])[0] for e, env in enumerate(envs)]
-    seen = {"observation": observations, "achieved_goal": achieved, "desired_goal": goals}
+    actions = np.zeros((n, length, *envs[0].action_space.shape), np.float32)  # type: ignore[misc]
+    lengths, endings = np.full(n, length), np.full(n, CUT, np.uint8)
+    detectors, going = [BlowUpDetector(env) for env in envs], np.ones(n, bool)
+    for e, (start, detector) in enumerate(zip(starts, detectors, strict=True)):
+        observations[e, 0], achieved[e, 0] = start["observation"], start["achieved_goal"]
+        detector.begin()
+    seen = {"observation": observations[:, 0], "achieved_goal": achieved[:, 0], "desired_goal": goals}
     check_finite(seen, type(envs[0].unwrapped).__name__)
-    return Episodes(observations, achieved, actions, goals)
+    for t in range(length):
+        observations[:, t + 1], achieved[:, t + 1] = observations[:, t], achieved[:, t]  # of those that are over
+        actions[going, t] = actor(observations[:, t], goals)[going]
+        for e in np.flatnonzero(going):
+            values, _, terminated, truncated, _ = envs[e].step(actions[e, t])
+            if detectors[e].blew_up(values, terminated or truncated):
+                going[e], lengths[e], endings[e], actions[e, t] = False, t, BLOWN, 0.0
+                continue
+            observations[e, t + 1], achieved[e, t + 1] = values["observation"], values["achieved_goal"]
+            if terminated or truncated:
+                going[e], lengths[e] = False, t + 1
+            if terminated:
+                arrived = envs[e].get_wrapper_attr("reached")(achieved[e, t + 1], goals[e])
+                endings[e] = ARRIVED if arrived else LOST
+        if not going.any():
+            observations[:, t + 2 :], achieved[:, t + 2 :] = observations[:, t + 1, None], achieved[:, t + 1, None]
+            break
+    if (endings == BLOWN).any():
+        name = type(envs[0].unwrapped).__name__
+        warnings.warn(f"the simulation of {name} blew up; the episode ends before", RuntimeWarning, stacklevel=2)
+    return Episodes(observations, achieved, actions, goals, lengths, endings)
 
 
 class ExploringActor:

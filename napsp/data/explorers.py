@@ -11,6 +11,7 @@ import numpy as np
 from napsp import envs as tasks
 from napsp.config import TrainConfig
 from napsp.data.collect import Actor, ExplorationConfig, ExploringActor
+from napsp.envs.blowups import BlowUpDetector
 from napsp.envs.state import get_state, put_state
 from napsp.learner import Learner
 
@@ -19,19 +20,19 @@ ROLES = ("walk", "seek")
 
 
 class Ongoing(gymnasium.Wrapper):
-    """An environment whose episodes begin where the last one ended, with a goal of our choice.
+    """An environment whose episodes begin where the last one was cut by its time limit, with a goal of our choice.
 
-    Now and then one begins with a reset. Rewards are worked out anew from the goals that are stored, so the environment
-    itself need not know.
+    Now and then one begins with a reset, and always after an end by the environment itself or a blow-up. Rewards are
+    worked out anew from the goals that are stored, so the environment itself need not know.
 
     Args:
-        env: a task that has ``dynamics``, ``model`` and ``data``.
+        env: a task; one without ``dynamics``, ``model`` and ``data`` begins with a reset after :meth:`restore`.
         anew: episodes from one reset to the next.
     """
 
     def __init__(self, env: gymnasium.Env, anew: int) -> None:
         super().__init__(env)
-        self._anew, self._n_episodes = anew, 0
+        self._anew, self._n_episodes, self._detector = anew, 0, BlowUpDetector(env)
         self.last: dict[str, Any] | None = None
         self.goal: np.ndarray | None = None
 
@@ -40,30 +41,44 @@ class Ongoing(gymnasium.Wrapper):
         begins = self.last is None or self._n_episodes % self._anew == 0
         last: Any = self.env.reset(seed=seed, options=options)[0] if begins else self.last
         self._n_episodes += 1
+        self._detector.begin()
+        for limit in self._time_limits():
+            limit._elapsed_steps = 0  # its episode begins as well
         self.last = last if self.goal is None else {**last, "desired_goal": self.goal}
         return self.last, {}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Advance one control step."""
         found = self.env.step(action)
-        self.last = found[0]
+        observation, _, terminated, truncated, _ = found
+        late = any(limit._elapsed_steps >= limit._max_episode_steps for limit in self._time_limits())
+        over = terminated or (truncated and not late)
+        self.last = None if self._detector.blew_up(observation, over) or over else observation
+        return found
+
+    def _time_limits(self) -> list[Any]:
+        env, found = self.env, []
+        while isinstance(env, gymnasium.Wrapper):
+            found += [env] if isinstance(env, gymnasium.wrappers.TimeLimit) else []
+            env = env.env
         return found
 
     def state(self) -> dict[str, np.ndarray]:
-        """What :meth:`restore` needs to go on elsewhere; empty before the first episode."""
-        if self.last is None:
-            return {}
+        """What :meth:`restore` needs to go on elsewhere."""
         world: Any = self.env.unwrapped
-        return {"n_episodes": np.array(self._n_episodes), "physics": get_state(world.model, world.data), **self.last}
+        count = {"n_episodes": np.array(self._n_episodes)}
+        if self.last is None or not hasattr(world, "dynamics"):
+            return count
+        return {**count, "physics": get_state(world.model, world.data), **self.last}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on where another one was."""
-        if not state:
+        self._n_episodes = int(state["n_episodes"])
+        if "physics" not in state:
             return
         world: Any = self.env.unwrapped
         self.env.reset(seed=0)
         put_state(world.dynamics.bind(world.data), world.model, world.data, state["physics"])
-        self._n_episodes = int(state["n_episodes"])
         self.last = {name: value for name, value in state.items() if name not in ("n_episodes", "physics")}
 
 

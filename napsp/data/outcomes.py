@@ -30,7 +30,8 @@ class Outcomes:
     """What E evaluation episodes came to.
 
     Attributes:
-        reached: whether the goal is reached at s_1 .. s_T, bool ``(E, T)``.
+        reached: whether the goal is reached at s_1 .. s_T, bool ``(E, T)``; the last state of an episode that ended
+            sooner counts up to there.
         gaps: Euclidean gap between achieved and desired goal at s_1 .. s_T, ``(E, T)``.
     """
 
@@ -58,7 +59,7 @@ def outcomes(env: gymnasium.Env, episodes: Episodes) -> Outcomes:
     """Judge episodes by the environment's own success test."""
     goals = np.repeat(episodes.desired_goals[:, None], episodes.actions.shape[1], axis=1)
     achieved = episodes.achieved_goals[:, 1:]
-    reached = env.unwrapped.reached(achieved, goals)  # type: ignore[attr-defined]
+    reached = env.get_wrapper_attr("reached")(achieved, goals)
     return Outcomes(reached, np.linalg.norm(achieved - goals, axis=-1))
 
 

@@ -205,12 +205,14 @@ class CountModel:
         the tables grow with the cells that were seen.
         """
         pairs = scaled_pairs(self.scaling, episodes.observations[:, :-1], episodes.actions)
-        self.visit_table.add(self.visit_hash(pairs).ravel())
+        self.visit_table.add(self.visit_hash(episodes.steps(pairs)))
         goals = self.scaling.goal(episodes.achieved_goals)
         for table in self.reached_tables:
             starts, ends = table.pair_part(pairs), table.goal_part(goals)
-            for first, later in _pairs(goals.shape[1], max(1, PAIRS_AT_ONCE // len(episodes))):
-                table.table.add((starts[:, first] + ends[:, later]).ravel())
+            for first, later in _pairs(goals.shape[1], max(1, PAIRS_AT_ONCE // max(1, len(episodes)))):
+                keys = starts[:, first] + ends[:, later]
+                happened = later <= episodes.lengths[:, None]
+                table.table.add(keys[happened])
 
     def recount(self, episodes: Episodes, scaling: Scaling) -> None:
         """Count all episodes again under another scaling."""

@@ -57,8 +57,8 @@ def explained(episodes: Episodes) -> float:
     Adjusted R^2 of a linear regression of phi(s_t+1) - phi(s_t) on a_t over random play; parts that never change do not
     count. It is about 0 for a valve that fingers push or a box out of reach.
     """
-    change = np.diff(episodes.achieved_goals.astype(np.float64), axis=1).reshape(-1, episodes.achieved_goals.shape[-1])
-    actions = episodes.actions.reshape(-1, episodes.actions.shape[-1]).astype(np.float64)
+    change = episodes.steps(np.diff(episodes.achieved_goals.astype(np.float64), axis=1))
+    actions = episodes.steps(episodes.actions).astype(np.float64)
     inputs = np.concatenate([actions, np.ones((len(actions), 1))], axis=1)
     rest = change - inputs @ np.linalg.lstsq(inputs, change, rcond=None)[0]
     moving, left = change.std(0) > 1e-9, len(actions) - inputs.shape[1]
@@ -99,7 +99,7 @@ class ReplayGraph:
     def build(self, episodes: Episodes, seed: int) -> None:
         """Search all paths anew; the same episodes and seed give the same graph."""
         config, self.built_at = self._config, len(episodes)
-        places = episodes.achieved_goals.reshape(-1, episodes.achieved_goals.shape[-1])
+        places = episodes.states(episodes.achieved_goals)
         drawn = places[np.random.default_rng([seed, len(episodes)]).integers(len(places), size=config.n_goals)]
         shifts = np.arange(config.n_lattices) / config.n_lattices
         made = [Lattice.of(episodes, config, shift) for shift in shifts]
@@ -138,7 +138,7 @@ class Lattice:
     """
 
     def __init__(self, episodes: Episodes, edge: np.ndarray, shift: float) -> None:
-        self._visited = episodes.achieved_goals.reshape(-1, len(edge))
+        self._visited = episodes.states(episodes.achieved_goals)
         low, high = self._visited.min(0).astype(np.float64), self._visited.max(0)
         self._edge, self._low = edge, low - shift * edge
         self._shape = np.floor((high - low) / edge).astype(np.int64) + 2
@@ -150,8 +150,9 @@ class Lattice:
     def of(cls, episodes: Episodes, config: GraphConfig, shift: float) -> Lattice | None:
         """The finest one with states enough in its cells; None where all would be too empty."""
         achieved = episodes.achieved_goals
-        change, span = np.diff(achieved.astype(np.float64), axis=1), np.ptp(achieved, axis=(0, 1))
-        least, never = config.cell * np.sqrt((change**2).mean((0, 1))), 1e-9 + 1e-6 * span  # what never moves: one cell
+        change = episodes.steps(np.diff(achieved.astype(np.float64), axis=1))
+        span = np.ptp(episodes.states(achieved), axis=0)
+        least, never = config.cell * np.sqrt((change**2).mean(0)), 1e-9 + 1e-6 * span  # what never moves: one cell
         for growth in [*(g for g in GROWTH if g < config.growth), config.growth]:
             edge = np.maximum(least * growth, never)
             if np.prod(span / edge + 2.0) < LARGEST:
@@ -162,8 +163,9 @@ class Lattice:
 
     def search(self, episodes: Episodes, config: GraphConfig, sparse_reward: SparseReward, drawn: np.ndarray) -> None:
         """Dijkstra along observed crossings turned round, from all cells or those of ``drawn`` places ``(m, G)``."""
-        n, cells = self.n_cells, self._cell_of.reshape(episodes.achieved_goals.shape[:2])
-        start, end = cells[:, :-1].ravel(), cells[:, 1:].ravel()
+        n, cells = self.n_cells, np.zeros(episodes.achieved_goals.shape[:2], np.int64)
+        cells[episodes.seen()] = self._cell_of.ravel()
+        start, end = episodes.steps(cells[:, :-1]), episodes.steps(cells[:, 1:])
         crossing = start != end
         edges, seen = np.unique(start[crossing] * n + end[crossing], return_counts=True)
         start, end = edges // n, edges % n
@@ -211,7 +213,7 @@ class Lattice:
 
 def fastest(episodes: Episodes) -> np.ndarray:
     """Change per step of each part of the achieved goal ``(G,)`` at its fastest; +inf where it never changes."""
-    change = np.abs(np.diff(episodes.achieved_goals, axis=1)).reshape(-1, episodes.achieved_goals.shape[-1])
+    change = episodes.steps(np.abs(np.diff(episodes.achieved_goals, axis=1)))
     return np.array([np.quantile(part[part > 0], FASTEST) if (part > 0).any() else np.inf for part in change.T])
 
 

@@ -67,13 +67,20 @@ class BootstrapConfig:
 
 
 def one_step_label(
-    arrived: Tensor, next_steps: Tensor, observed: Tensor, known: Tensor, length: float, stay: float = 0.0
+    arrived: Tensor,
+    next_steps: Tensor,
+    observed: Tensor,
+    known: Tensor,
+    length: float,
+    stay: float = 0.0,
+    ended: Tensor | None = None,
 ) -> Tensor:
     """Steps ``(B,)`` from a transition and what is known of the way on from its end; beyond the paper.
 
         1 + stay * (d_old(s_t+1) - 1)        where s_t+1 is at the goal, from which one step is least
         min(known, observed)                 where shortest paths over the replay lead there
         min(1 + d_old(s_t+1), observed)      elsewhere; both within [2, T], for one step was not enough
+        1 or T                               where nothing follows s_t+1, which is at the goal or is not
 
     Args:
         arrived: whether s_t+1 is at the goal, bool ``(B,)``.
@@ -82,11 +89,13 @@ def one_step_label(
         known: 1 + steps of the graph, NaN where there is no path, ``(B,)``.
         length: T.
         stay: see :class:`BootstrapConfig`.
+        ended: 0 where the episode ended at the goal, 1 where it ended elsewhere for good, NaN where the world goes on.
     """
     at_goal = 1.0 + stay * (next_steps.clamp(max=length) - 1.0).clamp(min=0.0)
     steps = torch.where(known.isnan(), 1.0 + next_steps, known)
     steps = torch.minimum(steps, observed)
-    return torch.where(arrived, at_goal, steps.clamp(2.0, length))
+    labels = torch.where(arrived, at_goal, steps.clamp(2.0, length))
+    return labels if ended is None else torch.where(ended.isnan(), labels, 1.0 + ended * (length - 1.0))
 
 
 def temporal_label(steps_between: Tensor, target_steps: Tensor, uncertainty: Tensor) -> Tensor:

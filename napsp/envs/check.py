@@ -85,7 +85,7 @@ def _check_dynamics(env: Any, name: str, sizes: dict[str, int]) -> None:
 
     before, kept = {}, {}
     for step, action in enumerate(actions):
-        after = _step(env, name, action)
+        after, _, terminated, truncated, _ = _step(env, name, action)
         _check_observation(after, name, sizes)
         if any(not np.array_equal(before[part], kept[part]) for part in kept):
             warnings.warn(
@@ -103,6 +103,8 @@ def _check_dynamics(env: Any, name: str, sizes: dict[str, int]) -> None:
                 RuntimeWarning,
                 stacklevel=3,
             )
+            return
+        if terminated or truncated:
             return
 
 
@@ -126,7 +128,7 @@ def _step(env: Any, name: str, action: np.ndarray) -> Any:
             f"step of {name} must return a tuple of observation, reward, terminated, truncated and info, as "
             "Gymnasium's does"
         )
-    return answer[0]
+    return answer
 
 
 def check_finite(observations: Mapping[str, np.ndarray], name: str) -> None:

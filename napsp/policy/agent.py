@@ -68,6 +68,8 @@ class PolicyBatch(NamedTuple):
         next_observations: ``(B, O)``.
         goals: ``(B, G)``.
         rewards: ``(B,)``.
+        ended: share of all later reward that is lost where nothing follows the next state, ``(B,)``; NaN where the
+            world goes on, as it does beyond a time limit. See :class:`napsp.policy.her.Transitions`.
     """
 
     observations: Tensor
@@ -75,18 +77,29 @@ class PolicyBatch(NamedTuple):
     next_observations: Tensor
     goals: Tensor
     rewards: Tensor
+    ended: Tensor
 
     def split(self, size: int) -> list[PolicyBatch]:
         """Batches of ``size`` transitions (views)."""
         return [PolicyBatch(*part) for part in zip(*(rows.split(size) for rows in self), strict=True)]
 
+    def targets(self, next_values: Tensor, discount: float, limits: tuple[float, float]) -> Tensor:
+        """What critics learn ``(B,)``: r + discount * V(s'), within ``limits``.
+
+        Where nothing follows s', V(s') is 0 at the goal and -1 / (1 - discount), the value of never reaching it,
+        elsewhere: with 0 there, an early end would be the cheapest way.
+        """
+        final = -self.ended / (1.0 - discount)
+        values = torch.where(self.ended.isnan(), next_values, final)
+        return (self.rewards + discount * values).clamp(*limits)
+
     def scaled(self, scaling: InputScaling) -> PolicyBatch:
         """The same as the networks read it, on their device."""
         device = scaling.observation_mean.device
-        observations, actions, next_observations, goals, rewards = (rows.to(device) for rows in self)
+        observations, actions, next_observations, goals, rewards, ended = (rows.to(device) for rows in self)
         return PolicyBatch(
             scaling(observations, goals)[0], actions, scaling(next_observations, goals)[0],
-            scaling(observations, goals)[1], rewards,
+            scaling(observations, goals)[1], rewards, ended,
         )  # fmt: skip
 
 

@@ -53,7 +53,7 @@ class DDPG:
         self._update = execution.update(self._update_once)
 
     def train(self, transitions: PolicyBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
-        """Update everything once per batch of raw transitions; no terminal flag, as in SAC."""
+        """Update everything once per batch of raw transitions; ends are treated as in SAC."""
         del generator  # deterministic
         batches = transitions.scaled(self.policy.scaling).split(batch_size)
         rows = [self._update(*batch) for batch in batches]
@@ -90,7 +90,7 @@ def critic_loss(ddpg: DDPG, batch: PolicyBatch) -> tuple[Tensor, Metrics]:
     with torch.no_grad():
         next_actions = ddpg.target_policy.outputs(batch.next_observations, batch.goals).tanh()
         next_values = ddpg.target_critic.values(batch.next_observations, next_actions, batch.goals).amin(0)
-        targets = (batch.rewards + ddpg.config.discount * next_values).clamp(*ddpg.config.values_range)
+        targets = batch.targets(next_values, ddpg.config.discount, ddpg.config.values_range)
     errors = (ddpg.critic.values(batch.observations, batch.actions, batch.goals) - targets).square()
     return errors.mean(1).sum(), {"critic_loss": errors.mean().detach(), "mean_value": targets.mean()}
 

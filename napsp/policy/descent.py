@@ -31,6 +31,7 @@ class DescentBatch(NamedTuple):
         observed: steps after which the same episode was at the goal, ``(B,)``; +inf where it was not.
         known: 1 + steps of the graph from the next state, ``(B,)``; NaN where it knows no path.
         next_achieved: achieved goal of the next state, ``(B, G)``.
+        ended: 0 where the episode ended at the goal, 1 where nothing is reached any more, NaN elsewhere, ``(B,)``.
     """
 
     observations: Tensor
@@ -41,6 +42,7 @@ class DescentBatch(NamedTuple):
     observed: Tensor
     known: Tensor
     next_achieved: Tensor
+    ended: Tensor
 
     def scaled(self, scaling: InputScaling) -> DescentBatch:
         """The same as the networks read it, on their device."""
@@ -132,7 +134,7 @@ def distance_loss(agent: Descent, batch: DescentBatch) -> tuple[Tensor, Metrics]
         following = torch.cat([batch.next_observations, actions, batch.goals], dim=-1)
         next_steps = agent.bootstrap.reduce(agent.target_distance.members(following) * length)
         known = batch.arrived, next_steps, batch.observed, batch.known
-        labels = one_step_label(*known, length, agent.bootstrap.stay)
+        labels = one_step_label(*known, length, agent.bootstrap.stay, batch.ended)
     rows = torch.cat([batch.observations, batch.actions, batch.goals], dim=-1)
     loss, metrics = agent._fit(agent.distance, Labelled(rows, labels, len(rows)))
     means = {"mean_distance": metrics["predictions"].mean(), "mean_label": labels.mean()}

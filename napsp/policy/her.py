@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from napsp.data.episodes import Episodes, SparseReward
+from napsp.data.episodes import ARRIVED, LOST, Episodes, SparseReward, draw_steps
 from napsp.errors import UserError
 from napsp.settings import check_ranges
 
@@ -42,6 +42,9 @@ class Transitions:
     """Steps to the future state whose goal it is; +inf for goals that come from elsewhere."""
     after: np.ndarray
     """Achieved goals a step after that future state; NaN for goals from elsewhere, and where the episode ends there."""
+    ended: np.ndarray
+    """Share of all later reward that is lost because nothing follows the next state: 0 where it ended at the goal, 1
+    where it ended elsewhere, NaN where the world goes on, as it does beyond a time limit."""
 
 
 def sample_relabelled(
@@ -59,8 +62,8 @@ def sample_relabelled(
     alone, the values of goals that ask for more than the episode did are never corrected
     downwards. ``sparse_reward(achieved_goals, goals)`` gives 0 / -1 rewards ``(n,)``.
     """
-    length = episodes.actions.shape[1]
-    episode, t = rng.integers(len(episodes), size=n), rng.integers(length, size=n)
+    episode, t = draw_steps(episodes, n, rng)
+    length = episodes.lengths[episode]
     future = rng.integers(t + 1, length + 1)
     goals = episodes.desired_goals[episode]  # a copy, as rows are picked
     chance = rng.random(n)
@@ -73,17 +76,34 @@ def sample_relabelled(
         other = np.flatnonzero(chance > 1.0 - config.other_goals_ratio)
         wanted, achieved = other[::2], other[1::2]
         goals[wanted] = episodes.desired_goals[rng.integers(len(episodes), size=len(wanted))]
-        goals[achieved] = episodes.achieved_goals[
-            rng.integers(len(episodes), size=len(achieved)), rng.integers(length + 1, size=len(achieved))
-        ]
+        theirs = rng.integers(len(episodes), size=len(achieved))
+        n_states = episodes.actions.shape[1] + 1 if episodes.whole else episodes.lengths[theirs] + 1
+        goals[achieved] = episodes.achieved_goals[theirs, rng.integers(n_states, size=len(achieved))]
     next_achieved = episodes.achieved_goals[episode, t + 1]
+    rewards = sparse_reward(next_achieved, goals)
     return Transitions(
         observations=episodes.observations[episode, t],
         actions=episodes.actions[episode, t],
         next_observations=episodes.observations[episode, t + 1],
         next_achieved=next_achieved,
         goals=goals,
-        rewards=sparse_reward(next_achieved, goals),
+        rewards=rewards,
         steps_between=steps_between,
         after=after,
+        ended=_ended(episodes, episode, t, rewards == 0),
     )
+
+
+def _ended(episodes: Episodes, episode: np.ndarray, t: np.ndarray, arrived: np.ndarray) -> np.ndarray:
+    """As :class:`Transitions` has it, for steps t of episodes ``(n,)`` and whether each leads to its goal.
+
+    An environment that terminates an episode at its desired goal would have done so at any other that had been desired:
+    there, arriving is the end, and its own goal is no end on the way to another. One that terminates elsewhere, by a
+    fall say, ends the way to every goal.
+    """
+    ended = np.full(len(t), np.nan, np.float32)
+    if (episodes.endings == ARRIVED).any():
+        ended[arrived] = 0.0
+    lost = (episodes.endings[episode] == LOST) & (t + 1 == episodes.lengths[episode])
+    ended[lost] = np.where(arrived[lost], 0.0, 1.0)
+    return ended

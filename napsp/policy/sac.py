@@ -59,7 +59,7 @@ class SAC:
     def train(self, transitions: PolicyBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
         """Update everything once per batch of raw transitions ``(n * batch_size, .)``; figures to log.
 
-        There is no terminal flag: goal reaching goes on after success, and a time limit is not an end of the task.
+        Goal reaching goes on after success and beyond a time limit, unless the batch says that nothing follows.
         """
         noise = torch.randn((2, *transitions.actions.shape), generator=generator).to(self.device)
         batches = transitions.scaled(self.policy.scaling).split(batch_size)
@@ -106,8 +106,8 @@ def critic_loss(sac: SAC, batch: PolicyBatch, noise: Tensor, alpha: Tensor) -> t
         outputs = sac.policy.outputs(batch.next_observations, batch.goals)
         actions, log_density, _ = squash(outputs, noise)
         next_values = sac.target_critic.values(batch.next_observations, actions, batch.goals).amin(0)
-        targets = batch.rewards + sac.config.discount * (next_values - alpha * log_density)
-        targets = targets.clamp(*sac.config.values_range)
+        limits = sac.config.values_range
+        targets = batch.targets(next_values - alpha * log_density, sac.config.discount, limits)
     errors = (sac.critic.values(batch.observations, batch.actions, batch.goals) - targets).square()
     return errors.mean(1).sum(), {"critic_loss": errors[-1].mean().detach(), "mean_value": targets.mean()}
 

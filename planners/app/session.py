@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -15,6 +16,7 @@ from mpc.rollout import RolloutEngine
 from mpc.verify import Verified
 from mpc.workers import CAN_FORK
 from napsp import envs as tasks
+from napsp.envs.blowups import BlowUpDetector
 from napsp.envs.cards import CARDS
 from napsp.envs.check import check_finite
 from napsp.errors import UserError
@@ -114,12 +116,15 @@ class Session:
     def run_episode(
         self, seed: int, watchers: Sequence[Watcher] = (), options: dict[str, Any] | None = None
     ) -> EpisodeResult:
-        """Plan one full episode; it goes on after the goal is reached, to see whether it holds.
+        """Plan one episode; it goes on after the goal is reached, to see whether it holds, unless the task ends it.
+
+        An episode in which the environment blows up ends there, is no success, and is warned of.
 
         All chance comes from ``seed``: the episode is the same alone and in a series. ``options`` are the reset's.
 
         Raises:
-            UserError: the environment observed numbers that are not finite, or another goal than it was set.
+            UserError: the environment observed numbers that are not finite after its reset, blew up at once, or has another
+                goal than it was set.
         """
         started = time.monotonic()
         observation = _copied(self.env.reset(seed=seed, options=options)[0])
@@ -134,15 +139,21 @@ class Session:
         steps: list[Step] = []
         actions: list[np.ndarray] = []
         achieved_goals, positions = [observation["achieved_goal"]], [self._effector(observation)]
+        detector = BlowUpDetector(self.env)
+        detector.begin()
         for step in range(tasks.episode_length(self.env_name)):
             plan = self.controller.plan(world, observation)
             for watcher in watchers:
                 watcher.frame(observation, plan)
             # Not part of the plan call: a planner that averages its samples never rolls the average out.
             cost = self.controller.cost_of(world, observation, plan.actions)
+            found, _, terminated, truncated, _ = self.env.step(plan.action)
+            if detector.blew_up(found, terminated or truncated):
+                success = False
+                self._tell_of_blow_up(step)
+                break
+            observation = _copied(found)
             actions.append(plan.action)
-            observation = _copied(self.env.step(plan.action)[0])
-            check_finite(observation, self.env_name)
             if self.config.goal is not None and not np.allclose(observation["desired_goal"], self.config.goal):
                 raise UserError(f"{self.env_name} does not keep to --goal; let step observe the attribute goal")
             success = bool(world.reached(observation["achieved_goal"], observation["desired_goal"]))
@@ -150,11 +161,19 @@ class Session:
             steps.append(self._step(observation, plan, cost))
             achieved_goals.append(observation["achieved_goal"])
             positions.append(self._effector(observation))
+            if terminated or truncated:
+                break
         seconds = time.monotonic() - started
         return EpisodeResult(
             seed, success, first_hit, steps, np.array(actions), np.array(achieved_goals), goal,
             action_rate(np.array(actions)), jerk(np.array(positions), self.control_period), seconds,
         )  # fmt: skip
+
+    def _tell_of_blow_up(self, n_steps: int) -> None:
+        if not n_steps:
+            raise UserError(f"the simulation of {self.env_name} blows up in its first step; correct its dynamics")
+        text = f"the simulation of {self.env_name} blew up after {n_steps} steps; the episode ends there, as a failure"
+        warnings.warn(text, RuntimeWarning, stacklevel=3)
 
     def _step(self, observation: dict[str, np.ndarray], plan: Plan, cost: float) -> Step:
         world = self.env.unwrapped
