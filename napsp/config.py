@@ -44,7 +44,11 @@ class TrainConfig:
 
     env: str = "fetch_wall"
     """Task: point_maze, point_maze_long, fetch_reach, fetch_wall, fetch_wall_high, fetch_pick_place,
-    fetch_pick_place_wall or claw; a Gymnasium id such as FetchPush-v4, or your own module:Class."""
+    fetch_pick_place_wall or claw; a Gymnasium id such as FetchPush-v4, package:Id, or your own module:Class: any
+    goal environment trains, see docs/goal_environments.md."""
+    reached: str | None = None
+    """Success test of a goal environment whose own reward is dense: a radius in units of its goal, or module:function,
+    which maps achieved and desired goals (n, G) to bool (n,)."""
     method: str = "ours"
     """sparse: binary reward. ddl: on-policy temporal regression. offpolicy_ddl: eq. 4a.
     ours: eq. 4a and 4b (the paper). plus: beyond the paper, one pair of networks is distance and critic, with shortest

@@ -13,6 +13,7 @@ import tyro
 from napsp import envs as tasks
 from napsp.callable_module import callable_module
 from napsp.data.outcomes import evaluate
+from napsp.envs.goal_task import make_goal_task
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
 from napsp.statistics import describe, wilson_interval
@@ -45,7 +46,7 @@ def main() -> int:
     torch.set_num_threads(1)
     env_name = tasks.canonical_name(options.env)
     model = load_model(options.checkpoint or shipped_model(env_name), env_name)
-    env = tasks.make(env_name)
+    env = make_goal_task(env_name, model.config.reached)
     model.check_sizes(env)
     seeds = [options.seed + i for i in range(options.episodes)]
     result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.episode_length)

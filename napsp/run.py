@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from napsp import envs as tasks
 from napsp.config import TrainConfig
 from napsp.data.collect import Actor, ExplorationConfig, ExploringActor, roll
 from napsp.data.episodes import BLOWN, Episodes, concatenate
@@ -19,6 +18,7 @@ from napsp.data.explorers import Explorers
 from napsp.data.outcomes import evaluate
 from napsp.distance.graph import explained
 from napsp.envs.actions import used_actions
+from napsp.envs.goal_task import is_goal_task, make_goal_task
 from napsp.errors import UserError
 from napsp.execution import Execution
 from napsp.interruption import Interruption
@@ -66,7 +66,7 @@ class Run:
     def open(cls, config: TrainConfig, folder: Path, restart: bool, tensorboard: bool, execution: Execution) -> Run:
         """Start a run in ``folder`` or continue the one it holds."""
         git_revision()  # now, not when the first checkpoint is written
-        envs = [tasks.make(config.env) for _ in range(config.episodes_per_iteration)]
+        envs = [make_goal_task(config.env, config.reached) for _ in range(config.episodes_per_iteration)]
         state = folder / STATE_FILE
         saved = read_training(state, config) if state.is_file() and not restart else None
         if saved and sizes_of(envs[0]) != tuple(saved[0][f"buffer.{name}"].shape[-1] for name in SIZED):
@@ -229,7 +229,7 @@ def new_learner(
         if not warmup.n_steps:
             raise UserError(f"no episode of {config.env} lasts a step: its simulation blows up; correct its dynamics")
     envs[0].reset(seed=config.seed)
-    used = used_actions(envs[0].unwrapped)
+    used = None if is_goal_task(envs[0]) else used_actions(envs[0].unwrapped)
     return build_learner(config, sizes_of(envs[0]), warmup, sparse_reward(envs[0]), rng, generator, execution, used)
 
 

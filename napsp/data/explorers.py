@@ -8,10 +8,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from napsp import envs as tasks
 from napsp.config import TrainConfig
 from napsp.data.collect import Actor, ExplorationConfig, ExploringActor
 from napsp.envs.blowups import BlowUpDetector
+from napsp.envs.goal_task import make_goal_task
 from napsp.envs.state import get_state, put_state
 from napsp.learner import Learner
 
@@ -112,7 +112,7 @@ class Explorers:
     def of(cls, config: TrainConfig) -> Explorers:
         """As a configuration describes them, at least one of each role."""
         explore, n = config.explore, math.ceil(config.explore.explorers * config.episodes_per_iteration)
-        worlds = [Ongoing(tasks.make(config.env), explore.anew) for _ in range(max(n, len(ROLES)))]
+        worlds = [Ongoing(make_goal_task(config.env, config.reached), explore.anew) for _ in range(max(n, len(ROLES)))]
         return cls(worlds, explore, config.episode_length)
 
     def states(self) -> list[dict[str, np.ndarray]]:

@@ -91,6 +91,25 @@ def episode_length(name: str) -> int:
     return steps
 
 
+def create(name: str, **kwargs: Any) -> gymnasium.Env:
+    """Create an environment as its class or registration makes it, wrappers included.
+
+    Raises:
+        UserError: unknown, or no environment.
+    """
+    name = canonical_name(name)
+    gym_id = CARDS[name].gym_id if name in CARDS else _registered(name) or name
+    # What we need of an environment is checked here, in one sentence.
+    load = load_object(name) if ":" in gym_id else partial(gymnasium.make, gym_id, disable_env_checker=True)
+    try:
+        env: Any = load(**kwargs)
+    except Exception as error:
+        raise UserError(f"{name} could not be created ({error}); check it with gymnasium.make first") from error
+    if not isinstance(env, gymnasium.Env):
+        raise UserError(f"{name} is no gymnasium.Env; derive it from gymnasium_robotics.core.GoalEnv")
+    return env
+
+
 def make(name: str, **kwargs: Any) -> gymnasium.Env:
     """Create a task with its time limit.
 
@@ -100,14 +119,8 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
     name = canonical_name(name)
     if name in CARDS:
         return gymnasium.make(CARDS[name].gym_id, **kwargs)
-    gym_id = _registered(name) or name
-    load = load_object(name) if ":" in gym_id else partial(gymnasium.make, gym_id)
-    try:
-        env: Any = load(**kwargs)
-    except Exception as error:
-        raise UserError(f"{name} could not be created ({error}); check it with gymnasium.make first") from error
-    if not isinstance(env, gymnasium.Env):
-        raise UserError(f"{name} is no gymnasium.Env; derive it from gymnasium_robotics.core.GoalEnv")
+    load = partial(create, name)
+    env: Any = load(**kwargs)
     missing = [member for member in REQUIRED if not hasattr(env.unwrapped, member)]
     if missing:
         env.close()
@@ -140,7 +153,8 @@ def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium
     except TypeError:
         raise UserError(
             f"{name} can not be planned in: it lacks {', '.join(missing)} and is neither a "
-            "MujocoRobotEnv nor a MazeEnv of gymnasium-robotics; add them as docs/environments.md shows"
+            "MujocoRobotEnv nor a MazeEnv of gymnasium-robotics; planners simulate a task by the dynamics of its MuJoCo "
+            "model, so add them as docs/environments.md shows (training needs none of it)"
         ) from None
 
 

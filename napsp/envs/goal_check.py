@@ -1,0 +1,104 @@
+"""Does an environment offer what training needs? One sentence says what it lacks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from napsp.envs.check import PARTS, check_finite
+from napsp.envs.success import SuccessTest, check_sparse
+from napsp.errors import UserError, describe_failure
+
+N_GOALS, N_STEPS = 4, 5
+
+
+def check_spaces(env: Any, name: str) -> None:
+    """Check that an environment observes flat numbers and acts by flat, bounded ones.
+
+    Raises:
+        UserError: it does not; the sentence names what is missing.
+    """
+    space, needed = env.observation_space, f"a Dict of flat Boxes: {', '.join(PARTS)}"
+    if not isinstance(space, spaces.Dict):
+        raise UserError(f"{name} observes a {type(space).__name__}; a goal environment observes {needed}")
+    missing = [part for part in PARTS if part not in space.spaces]
+    if missing:
+        raise UserError(f"{name} does not observe {', '.join(missing)}; a goal environment observes {needed}")
+    for part in PARTS:
+        found = space[part]
+        if not isinstance(found, spaces.Box):
+            raise UserError(f"{name} observes {part} as a {type(found).__name__}; flatten it into one Box of numbers")
+        if len(found.shape) != 1:
+            kind = "an image" if len(found.shape) == 3 else "an array"
+            raise UserError(
+                f"{name} observes {part} as {kind} of shape {found.shape}; give a flat Box of numbers instead, which a "
+                "wrapper can make of it"
+            )
+    if space["achieved_goal"].shape != space["desired_goal"].shape:
+        raise UserError(f"achieved and desired goals of {name} have different sizes; make them alike")
+    actions = env.action_space
+    if not isinstance(actions, spaces.Box) or not np.issubdtype(actions.dtype, np.floating):
+        raise UserError(f"the actions of {name} are {actions}; d and policy need continuous ones, a flat Box")
+    if len(actions.shape) != 1 or not (np.isfinite(actions.low).all() and np.isfinite(actions.high).all()):
+        raise UserError(f"the actions of {name} are {actions}; give a flat Box with finite bounds")
+
+
+def check_behaviour(env: Any, name: str, test: SuccessTest, sparse: bool) -> None:
+    """Try an environment. Resets and steps it: give one that is not needed any more.
+
+    Args:
+        env: with its wrappers; its spaces are right.
+        name: for messages.
+        test: its success test.
+        sparse: whether that is its own reward.
+
+    Raises:
+        UserError: a member fails, or answers otherwise than Gymnasium asks; the sentence names it.
+    """
+    starts = [_reset(env, name, seed) for seed in range(N_GOALS)]
+    achieved, actions = [start["achieved_goal"] for start in starts], env.action_space
+    for share in np.linspace(0.1, 0.9, N_STEPS):
+        action = (actions.low + share * (actions.high - actions.low)).astype(actions.dtype)
+        answer = _tried(name, "step", lambda action=action: env.step(action))
+        if not isinstance(answer, tuple) or len(answer) != 5:
+            raise UserError(f"step of {name} must return observation, reward, terminated, truncated and info")
+        _check_observation(env, name, answer[0])
+        achieved.append(answer[0]["achieved_goal"])
+        if answer[2] or answer[3]:
+            break
+    reached, desired = np.stack(achieved), np.stack([start["desired_goal"] for start in starts])
+    pairs = np.repeat(reached, N_GOALS, axis=0), np.tile(desired, (len(reached), 1))
+    together = test(*pairs)
+    alone = [bool(test(pairs[0][i : i + 1], pairs[1][i : i + 1])[0]) for i in range(len(together))]
+    if alone != together.tolist():
+        raise UserError(f"the success test of {name} answers otherwise for many pairs than for one; correct it")
+    if sparse:
+        check_sparse(env, name, reached, desired)
+
+
+def _reset(env: Any, name: str, seed: int) -> dict[str, np.ndarray]:
+    member = f"reset(seed={seed}, options=None)"
+    answer = _tried(name, member, lambda: env.reset(seed=seed, options=None))
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise UserError(f"reset of {name} must return a tuple of observation and info, as Gymnasium's does")
+    _check_observation(env, name, answer[0])
+    check_finite(answer[0], name)
+    return answer[0]
+
+
+def _check_observation(env: Any, name: str, observation: Any) -> None:
+    for part in PARTS:
+        found = observation.get(part) if isinstance(observation, dict) else None
+        shape = env.observation_space[part].shape
+        if not isinstance(found, np.ndarray) or found.shape != shape or not np.issubdtype(found.dtype, np.number):
+            shown = f"{found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
+            raise UserError(f"{name} observes {part} as {shown}; give an array of {shape[0]} numbers as its space says")
+
+
+def _tried(name: str, member: str, call: Any) -> Any:
+    try:
+        return call()
+    except Exception as error:
+        raise UserError(f"{member} of {name} failed with {describe_failure(error)}; correct it") from error

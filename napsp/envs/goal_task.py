@@ -1,0 +1,105 @@
+"""Any Gymnasium goal environment as a task to train on: no MuJoCo, no dynamics, wrappers as they are.
+
+Planning needs more, see :func:`napsp.envs.make`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
+
+from napsp import envs as tasks
+from napsp.envs.cards import CARDS
+from napsp.envs.goal_check import check_behaviour, check_spaces
+from napsp.envs.stock import FAMILIES
+from napsp.envs.success import SuccessTest, success_test
+from napsp.errors import UserError
+
+GYMNASIUMS_OWN = (TimeLimit, OrderEnforcing, PassiveEnvChecker)
+"""Wrappers that a registration brings and that change nothing."""
+
+
+class GoalTask(gymnasium.Wrapper):
+    """A goal environment with actions in [-1, 1], which are its whole box, and a reward of 0 at the goal, else -1.
+
+    Args:
+        env: with its wrappers; observes a Dict of three flat Boxes and acts by a flat Box with finite bounds.
+        test: tells for pairs of goals ``(n, G)`` whether they are reached, bool ``(n,)``.
+    """
+
+    def __init__(self, env: gymnasium.Env, test: SuccessTest) -> None:
+        super().__init__(env)
+        box: Any = env.action_space
+        self._low, self._high = box.low.astype(np.float64), box.high.astype(np.float64)
+        self._type, self._test = box.dtype, test
+        self.action_space = Box(-1.0, 1.0, box.shape, np.float32)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advance one control step."""
+        share = 0.5 * (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0)
+        own = np.clip(self._low + share * (self._high - self._low), self._low, self._high).astype(self._type)
+        observation, _, terminated, truncated, info = self.env.step(own)
+        success = bool(self.reached(observation["achieved_goal"], observation["desired_goal"]))
+        return observation, float(success) - 1.0, terminated, truncated, {**info, "is_success": success}
+
+    def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
+        """Tell for each pair of goals ``(..., G)`` whether it is a success, bool ``(...)``."""
+        pair = np.broadcast_arrays(achieved_goal, desired_goal)
+        rows = [np.ascontiguousarray(goals).reshape(-1, goals.shape[-1]) for goals in pair]
+        return self._test(*rows).reshape(pair[0].shape[:-1])
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """Sparse reward ``(...)``: 0 where reached, -1 elsewhere."""
+        del info
+        return self.reached(achieved_goal, desired_goal).astype(np.float32) - np.float32(1)
+
+
+def is_goal_task(env: gymnasium.Env) -> bool:
+    """Whether an environment, time limits apart, is a :class:`GoalTask`."""
+    while isinstance(env, TimeLimit):
+        env = env.env
+    return isinstance(env, GoalTask)
+
+
+def make_goal_task(name: str, reached: str | None = None) -> gymnasium.Env:
+    """Create a task to train on, with its time limit: where it can be planned in, what planning simulates.
+
+    Args:
+        name: of a task, a Gymnasium id, ``package:id`` or ``module:Class``.
+        reached: its success test, see :func:`napsp.envs.success.success_test`.
+
+    Raises:
+        UserError: unknown, or no goal environment; the sentence says what is missing.
+    """
+    name = tasks.canonical_name(name)
+    if name in CARDS or _plannable(env := tasks.create(name)):
+        if reached is not None:
+            raise UserError(f"{name} has a success test of its own; leave out --reached")
+        return tasks.make(name)
+    check_spaces(env, name)
+    task = GoalTask(env, success_test(env, name, reached))
+    if (name, reached) not in _CHECKED:
+        tried = tasks.create(name)  # another one, so that the task handed out begins as its class made it
+        try:
+            check_behaviour(tried, name, success_test(tried, name, reached), reached is None)
+        finally:
+            tried.close()
+        _CHECKED.add((name, reached))
+    return TimeLimit(task, tasks.episode_length(name))
+
+
+_CHECKED: set[tuple[str, str | None]] = set()
+
+
+def _plannable(env: gymnasium.Env) -> bool:
+    """Whether planning simulates an environment as it is; it knows nothing of wrappers."""
+    bare = env
+    while isinstance(bare, GYMNASIUMS_OWN):
+        bare = bare.env
+    world = env.unwrapped
+    known = all(hasattr(world, member) for member in tasks.REQUIRED)
+    return bare is world and (known or isinstance(world, tuple(kind for kind, _ in FAMILIES)))
