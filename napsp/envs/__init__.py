@@ -98,16 +98,21 @@ def create(name: str, **kwargs: Any) -> gymnasium.Env:
         UserError: unknown, or no environment.
     """
     name = canonical_name(name)
-    gym_id = CARDS[name].gym_id if name in CARDS else _registered(name) or name
-    # What we need of an environment is checked here, in one sentence.
-    load = load_object(name) if ":" in gym_id else partial(gymnasium.make, gym_id, disable_env_checker=True)
     try:
-        env: Any = load(**kwargs)
+        env: Any = _loader(name)(**kwargs)
     except Exception as error:
         raise UserError(f"{name} could not be created ({error}); check it with gymnasium.make first") from error
     if not isinstance(env, gymnasium.Env):
         raise UserError(f"{name} is no gymnasium.Env; derive it from gymnasium_robotics.core.GoalEnv")
     return env
+
+
+def _loader(name: str) -> Any:
+    """What makes the environment of a canonical name."""
+    gym_id = CARDS[name].gym_id if name in CARDS else _registered(name) or name
+    if ":" in gym_id:
+        return load_object(name)
+    return partial(gymnasium.make, gym_id, disable_env_checker=True)  # what we need is checked here, in one sentence
 
 
 def make(name: str, **kwargs: Any) -> gymnasium.Env:
@@ -119,8 +124,8 @@ def make(name: str, **kwargs: Any) -> gymnasium.Env:
     name = canonical_name(name)
     if name in CARDS:
         return gymnasium.make(CARDS[name].gym_id, **kwargs)
-    load = partial(create, name)
-    env: Any = load(**kwargs)
+    load = _loader(name)
+    env: Any = create(name, **kwargs)
     missing = [member for member in REQUIRED if not hasattr(env.unwrapped, member)]
     if missing:
         env.close()

@@ -62,13 +62,13 @@ def _checked(test: Callable[[np.ndarray, np.ndarray], Any], named: str) -> Succe
             raise
         except Exception as error:
             raise UserError(
-                f"{named} failed for {len(achieved)} pairs of goals at once with {describe_failure(error)}; let it take "
-                f"arrays (n, G), or {HOW_TO_NAME_ONE}"
+                f"{named} failed for {len(achieved)} pairs of goals at once with {describe_failure(error)}; let it "
+                f"take arrays (n, G), or {HOW_TO_NAME_ONE}"
             ) from error
         if found.shape != (len(achieved),):
             raise UserError(
-                f"{named} returned shape {found.shape} for {len(achieved)} pairs of goals; let it return one answer per "
-                f"pair, or {HOW_TO_NAME_ONE}"
+                f"{named} returned shape {found.shape} for {len(achieved)} pairs of goals; let it return one answer "
+                f"per pair, or {HOW_TO_NAME_ONE}"
             )
         return found.astype(bool)
 
