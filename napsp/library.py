@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from napsp import envs as tasks
 from napsp.config import PAPER, preset
 from napsp.data.outcomes import Outcomes
 from napsp.data.outcomes import evaluate as run_episodes
 from napsp.distance.network import DistanceNetwork
+from napsp.envs.goal_task import make_goal_task
 from napsp.execution import Execution
 from napsp.policy.greedy import GreedyPolicy
 from napsp.storage.checkpoint import Model, load_model
@@ -160,13 +160,18 @@ def load(name: str | Path, env: str | None = None) -> Distance:
     return Distance(load_model(name, env))
 
 
-def make(task: str, **kwargs: Any) -> gymnasium.Env:
-    """The environment of a task, by its name, a Gymnasium id or ``module:Class``; ``kwargs`` are its class's.
+def make(task: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
+    """The environment of a task, as training sees it; of one that can be planned in, as planning does.
+
+    Args:
+        task: its name, a Gymnasium id, ``package:id`` or ``module:Class``.
+        reached: success test of a goal environment with dense rewards, see docs/goal_environments.md.
+        kwargs: of its class.
 
     Raises:
         UserError: unknown, or an environment that cannot be used.
     """
-    return tasks.make(task, **kwargs)
+    return make_goal_task(task, reached, **kwargs)
 
 
 def evaluate(distance: Distance, episodes: int = 50, seed: int = 0) -> Outcomes:
@@ -178,7 +183,7 @@ def evaluate(distance: Distance, episodes: int = 50, seed: int = 0) -> Outcomes:
     """
     if episodes < 1 or seed < 0:
         raise ValueError(f"episodes is {episodes} and seed {seed}; they must be at least 1 and 0")
-    model, env = distance.model, tasks.make(distance.task)
+    model, env = distance.model, make_goal_task(distance.task, distance.model.config.reached)
     model.check_sizes(env)
     try:
         actor = GreedyPolicy(model.policy)

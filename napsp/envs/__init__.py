@@ -158,8 +158,8 @@ def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium
     except TypeError:
         raise UserError(
             f"{name} can not be planned in: it lacks {', '.join(missing)} and is neither a "
-            "MujocoRobotEnv nor a MazeEnv of gymnasium-robotics; planners simulate a task by the dynamics of its MuJoCo "
-            "model, so add them as docs/environments.md shows (training needs none of it)"
+            "MujocoRobotEnv nor a MazeEnv of gymnasium-robotics; planners simulate a task by the dynamics of its "
+            "MuJoCo model, so add them as docs/environments.md shows (training needs none of it)"
         ) from None
 
 

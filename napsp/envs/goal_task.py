@@ -65,25 +65,26 @@ def is_goal_task(env: gymnasium.Env) -> bool:
     return isinstance(env, GoalTask)
 
 
-def make_goal_task(name: str, reached: str | None = None) -> gymnasium.Env:
+def make_goal_task(name: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
     """Create a task to train on, with its time limit: where it can be planned in, what planning simulates.
 
     Args:
         name: of a task, a Gymnasium id, ``package:id`` or ``module:Class``.
         reached: its success test, see :func:`napsp.envs.success.success_test`.
+        kwargs: of the environment's class.
 
     Raises:
         UserError: unknown, or no goal environment; the sentence says what is missing.
     """
     name = tasks.canonical_name(name)
-    if name in CARDS or _plannable(env := tasks.create(name)):
+    if name in CARDS or _plannable(env := tasks.create(name, **kwargs)):
         if reached is not None:
             raise UserError(f"{name} has a success test of its own; leave out --reached")
-        return tasks.make(name)
+        return tasks.make(name, **kwargs)
     check_spaces(env, name)
     task = GoalTask(env, success_test(env, name, reached))
     if (name, reached) not in _CHECKED:
-        tried = tasks.create(name)  # another one, so that the task handed out begins as its class made it
+        tried = tasks.create(name, **kwargs)  # another one, so that the task handed out begins as its class made it
         try:
             check_behaviour(tried, name, success_test(tried, name, reached), reached is None)
         finally:
