@@ -18,7 +18,7 @@ from napsp.data.explorers import Explorers
 from napsp.data.outcomes import evaluate
 from napsp.distance.graph import explained
 from napsp.envs.actions import used_actions
-from napsp.envs.goal_task import is_goal_task, make_goal_task
+from napsp.envs.goal_task import is_goal_task, make_goal_task, own_box
 from napsp.errors import UserError
 from napsp.execution import Execution
 from napsp.interruption import Interruption
@@ -190,7 +190,9 @@ class Run:
         if self.config.learns_distance:
             distance, visits = learner.distance.trusted, learner.counts.visit_counts
         path, episodes = self.folder / MODEL_FILE, len(learner.buffer)
-        save_model(path, learner.agent.policy, distance, self.config, self.sizes, episodes, visits)
+        save_model(
+            path, learner.agent.policy, distance, self.config, self.sizes, episodes, visits, own_box(self.envs[0])
+        )
 
     @property
     def interrupted(self) -> bool:

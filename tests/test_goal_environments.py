@@ -147,6 +147,17 @@ def test_the_whole_box_of_actions_is_used_and_scaled_once():
     assert env.unwrapped.did == [-1.0, 0.0, 1.0, 3.0, 3.0]
 
 
+def test_a_model_remembers_the_box_it_acted_in(tmp_path, monkeypatch):
+    name = f"{__name__}:Lopsided"
+    train(tiny(name, n_episodes=6), tmp_path)
+    model = load_model(tmp_path, name)
+    assert model.header["action_box"] == [[-1.0], [3.0]]
+    model.check_sizes(make_goal_task(name))
+    monkeypatch.setattr(f"{__name__}.Lopsided", Ones)  # from -1 to 1
+    with pytest.raises(UserError, match=r"trained with actions from \[-1\.0\] to \[3\.0\], and .* takes .* now"):
+        model.check_sizes(make_goal_task(name))
+
+
 def test_wrappers_stay():
     env = far_from("reversed_line")
     env.reset(seed=0)

@@ -15,7 +15,6 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from napsp import envs as tasks
 from napsp.envs.cards import CARDS
 from napsp.envs.goal_check import check_behaviour, check_spaces
-from napsp.envs.stock import FAMILIES
 from napsp.envs.success import SuccessTest, success_test
 from napsp.errors import UserError
 
@@ -58,11 +57,19 @@ class GoalTask(gymnasium.Wrapper):
         return self.reached(achieved_goal, desired_goal).astype(np.float32) - np.float32(1)
 
 
-def is_goal_task(env: gymnasium.Env) -> bool:
-    """Whether an environment, time limits apart, is a :class:`GoalTask`."""
+def own_box(env: gymnasium.Env) -> list[list[float]] | None:
+    """Least and largest actions of the environment inside a :class:`GoalTask`; None of other tasks."""
     while isinstance(env, TimeLimit):
         env = env.env
-    return isinstance(env, GoalTask)
+    if not isinstance(env, GoalTask):
+        return None
+    box: Any = env.env.action_space
+    return [box.low.tolist(), box.high.tolist()]
+
+
+def is_goal_task(env: gymnasium.Env) -> bool:
+    """Whether an environment, time limits apart, is a :class:`GoalTask`."""
+    return own_box(env) is not None
 
 
 def make_goal_task(name: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
@@ -98,6 +105,8 @@ _CHECKED: set[tuple[str, str | None]] = set()
 
 def _plannable(env: gymnasium.Env) -> bool:
     """Whether planning simulates an environment as it is; it knows nothing of wrappers."""
+    from napsp.envs.stock import FAMILIES  # gymnasium-robotics takes a while to import
+
     bare = env
     while isinstance(bare, GYMNASIUMS_OWN):
         bare = bare.env

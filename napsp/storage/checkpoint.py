@@ -14,6 +14,7 @@ from napsp.config import TrainConfig, from_dict, to_dict
 from napsp.distance.counts import KeyCounts, SimHash, VisitCounts
 from napsp.distance.network import DistanceNetwork
 from napsp.envs import canonical_name
+from napsp.envs.goal_task import own_box
 from napsp.errors import UserError
 from napsp.policy.actors import DeterministicPolicy, GaussianPolicy, Policy
 from napsp.storage.files import FORMAT, OLDER, read_tensors, write_tensors
@@ -46,13 +47,19 @@ class Model:
         """Check that the model reads what ``env`` offers; a task of one's own may have changed since.
 
         Raises:
-            UserError: observation, action or goal have other widths.
+            UserError: observation, action or goal have other widths, or actions other bounds.
         """
         trained, found = tuple(self.header["sizes"]), sizes_of(env)
         if trained != found:
             raise UserError(
                 f"this checkpoint was trained with {trained} numbers of observation, action and goal, and "
                 f"{self.config.env} has {found} now; train it again"
+            )
+        box, now = self.header.get("action_box"), own_box(env)
+        if box and now and box != now:
+            raise UserError(
+                f"this checkpoint was trained with actions from {box[0]} to {box[1]}, and {self.config.env} takes "
+                f"{now[0]} to {now[1]} now; train it again"
             )
 
 
@@ -70,6 +77,7 @@ def save_model(
     sizes: tuple[int, int, int],
     episodes: int,
     visits: VisitCounts | None = None,
+    action_box: list[list[float]] | None = None,
 ) -> None:
     """Write what a planner or a robot needs: weights, scaling, configuration, and N(s, a) if given."""
     tensors = {f"policy.{name}": value for name, value in policy.state_dict().items()}
@@ -84,6 +92,7 @@ def save_model(
         "config": to_dict(config),
         "episode_length": config.episode_length,
         "sizes": list(sizes),
+        "action_box": action_box,
         "episodes": episodes,
         "revision": git_revision(),
     }
