@@ -10,16 +10,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
-from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
+from gymnasium.wrappers import TimeLimit
 
 from napsp import envs as tasks
 from napsp.envs.cards import CARDS
 from napsp.envs.goal_check import check_behaviour, check_spaces
 from napsp.envs.success import SuccessTest, success_test
+from napsp.envs.wrappers import LOOKERS, STANDARD
 from napsp.errors import UserError
-
-GYMNASIUMS_OWN = (TimeLimit, OrderEnforcing, PassiveEnvChecker)
-"""Wrappers that a registration brings and that change nothing."""
 
 
 class GoalTask(gymnasium.Wrapper):
@@ -107,9 +105,8 @@ def _plannable(env: gymnasium.Env) -> bool:
     """Whether planning simulates an environment as it is; it knows nothing of wrappers."""
     from napsp.envs.stock import FAMILIES  # gymnasium-robotics takes a while to import
 
-    bare = env
-    while isinstance(bare, GYMNASIUMS_OWN):
-        bare = bare.env
-    world = env.unwrapped
+    bare, world = env, env.unwrapped
     known = all(hasattr(world, member) for member in tasks.REQUIRED)
+    while isinstance(bare, (*STANDARD, *(LOOKERS if known else ()))):
+        bare = bare.env  # type: ignore[attr-defined]
     return bare is world and (known or isinstance(world, tuple(kind for kind, _ in FAMILIES)))

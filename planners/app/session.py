@@ -123,8 +123,8 @@ class Session:
         All chance comes from ``seed``: the episode is the same alone and in a series. ``options`` are the reset's.
 
         Raises:
-            UserError: the environment observed numbers that are not finite after its reset, blew up at once, or has another
-                goal than it was set.
+            UserError: the environment observed numbers that are not finite after its reset, blew up at once, or does
+                not keep to its goal.
         """
         started = time.monotonic()
         observation = _copied(self.env.reset(seed=seed, options=options)[0])
