@@ -14,12 +14,13 @@ from napsp.storage.checkpoint import Model, load_model, shipped_model
 from planners.app.config import PlanConfig
 
 
-def load_models(config: PlanConfig[Any], checkpoint: Path | None) -> list[Model]:
+def load_models(config: PlanConfig[Any], checkpoint: Path | None, given: Model | None = None) -> list[Model]:
     """The checkpoint to plan with, then those of the ensemble; none for a cost that needs no distance.
 
     Args:
         config: how plans are made, with the task's one name.
         checkpoint: None is the one that ships for the task.
+        given: a model in place of the checkpoint's.
 
     Raises:
         UserError: a checkpoint is unusable, of another task, or lacks what the options ask of it.
@@ -27,7 +28,7 @@ def load_models(config: PlanConfig[Any], checkpoint: Path | None) -> list[Model]
     if config.cost != "distance":
         return []
     env_name = config.env
-    model = load_model(checkpoint or shipped_model(env_name), env_name)
+    model = given or load_model(checkpoint or shipped_model(env_name), env_name)
     if model.distance is None:
         raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")
     if config.distance.pessimism and model.visits is None:

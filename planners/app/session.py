@@ -10,9 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mpc.controller import Controller, Plan
-from mpc.cost import Cost
 from mpc.motion import action_rate, jerk
-from mpc.rollout import RolloutEngine
 from mpc.verify import Verified
 from mpc.workers import CAN_FORK
 from napsp import envs as tasks
@@ -21,12 +19,12 @@ from napsp.envs.cards import CARDS
 from napsp.envs.check import check_finite
 from napsp.errors import UserError
 from napsp.storage.checkpoint import Model
+from planners.app.build import build_controller
 from planners.app.config import PlanConfig
 from planners.app.episode import EpisodeResult, Step
-from planners.app.estimates import load_models, steps_to_go
+from planners.app.estimates import load_models
 from planners.app.options import RunOptions
-from planners.app.searches import SEARCHES
-from planners.app.world import Planned, check_goal, proposers, smoother, verify_task
+from planners.app.world import verify_task
 
 
 class Watcher(Protocol):
@@ -70,31 +68,10 @@ class Session:
         """
         config, run = config.resolved(), run or RunOptions()
         models = load_models(config, run.checkpoint)
-        model = models[0] if models else None
         # Classes of the user's own need not know render modes, so none is named unless one is asked for.
         env = tasks.make(config.env, **({"render_mode": "human"} if run.render == "human" else {}))
-        world: Any = env.unwrapped
-        if model is not None:
-            model.check_sizes(world)
-        check_goal(config.goal, world)
-        horizon, n_actions = config.horizon or config.usual.horizon, world.action_space.shape[0]
-        cost = Cost(steps_to_go(config, models, world), world.reached, config.where, config.action_of)
-        planned = Planned(config, world)
         verified = verify_task(config, run) if config.env not in CARDS and config.model.kind == "exact" else None
-        fork = verified.forks if verified else CAN_FORK
-        engine = RolloutEngine(planned(), run.threads, fork, source=planned)
-        search: Any = config.search
-        controller = Controller(
-            engine,
-            SEARCHES[config.planner].kind(config.spline.knots or horizon, n_actions, search),
-            cost,
-            horizon,
-            np.random.default_rng(run.seed),
-            config.spline,
-            search.refinements,
-            proposers(config, model, n_actions),
-            smoother(config, engine, cost, model, horizon, n_actions),
-        )
+        controller = build_controller(config, run, models, env.unwrapped, verified.forks if verified else CAN_FORK)
         return cls(config, run, env, controller, models, verified)
 
     @property
