@@ -200,13 +200,22 @@ class Controller:
             plan[0], plan, trajectories, costs, effective_samples, 1e3 * (ended - started), 1e3 * (ended - sampled)
         )
 
+    def skip(self, steps: int) -> None:
+        """Move the plan on by ``steps`` control steps that went by unplanned since the one that was planned last."""
+        for _ in range(steps if self._shift_due else 0):
+            self.planner.shift(self._shift)
+
     def cost_of(self, env: Any, observation: dict[str, np.ndarray], actions: np.ndarray) -> float:
         """What a plan ``(H, A)`` costs from the current state of ``env``, in steps, by rolling it out alone.
 
         That is in the model planned in; its own cost in the environment differs where that one is coarser.
         """
+        return self.cost_from(get_state(env.model, env.data), observation, actions)
+
+    def cost_from(self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray) -> float:
+        """The same from a full simulator state and the observation that belongs to it."""
         plans, n_simulated = actions[None], self.cost.simulated_steps(self.horizon)
-        trajectories = self.engine.rollout(get_state(env.model, env.data), plans[:, :n_simulated])
+        trajectories = self.engine.rollout(state, plans[:, :n_simulated])
         return float(self.cost(observation, trajectories, plans, observation["desired_goal"])[0])
 
     def _smooth(

@@ -11,13 +11,14 @@ from napsp.errors import UserError, run_command
 USAGE = """napsp: planning with learned distances
 
   napsp plan [SEARCH] --env TASK ...   plan with a learned distance; SEARCH is {searches} (default mppi)
+  napsp studio --env TASK ...          the same live, in the browser
   napsp train --env TASK ...           train a distance and a policy
   napsp evaluate --env TASK ...        run a trained policy alone
   napsp list                           tasks, searches, and the models that ship
 
 Each with --help says what it can do."""
 TRAINING = ("train", "evaluate")
-WORDS = ("plan", *TRAINING, "list")
+WORDS = ("plan", "studio", *TRAINING, "list")
 
 
 def main() -> None:
@@ -43,6 +44,11 @@ def run(arguments: list[str]) -> int | None:
         return importlib.import_module(f"napsp.{word}").main()
     if word == "plan":
         return _plan(rest)
+    if word == "studio":
+        from planners.app.gl import choose_gl
+
+        choose_gl()  # before anything imports mujoco
+        return importlib.import_module("planners.studio").run(rest)
     raise UserError(f"there is no napsp {word}{_meant(word, WORDS)}; napsp --help lists what there is")
 
 

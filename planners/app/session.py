@@ -24,7 +24,7 @@ from planners.app.config import PlanConfig
 from planners.app.episode import EpisodeResult, Step
 from planners.app.estimates import load_models
 from planners.app.options import RunOptions
-from planners.app.world import verify_task
+from planners.app.world import check_goal, verify_task
 
 
 class Watcher(Protocol):
@@ -104,13 +104,8 @@ class Session:
                 not keep to its goal.
         """
         started = time.monotonic()
-        observation = _copied(self.env.reset(seed=seed, options=options)[0])
-        check_finite(observation, self.env_name)
-        self.controller.reset(np.random.default_rng([seed, 1]))  # not the stream that the environment draws from
+        observation = self.begin(seed, options)
         world = self.env.unwrapped
-        if self.config.goal is not None:
-            world.goal = np.array(self.config.goal)
-            observation["desired_goal"] = world.goal.copy()
         goal = observation["desired_goal"]
         first_hit, success = None, False
         steps: list[Step] = []
@@ -135,7 +130,7 @@ class Session:
                 raise UserError(f"{self.env_name} does not keep to --goal; let step observe the attribute goal")
             success = bool(world.reached(observation["achieved_goal"], observation["desired_goal"]))
             first_hit = step + 1 if success and first_hit is None else first_hit
-            steps.append(self._step(observation, plan, cost))
+            steps.append(self.record(observation, plan, cost))
             achieved_goals.append(observation["achieved_goal"])
             positions.append(self._effector(observation))
             if terminated or truncated:
@@ -152,7 +147,31 @@ class Session:
         text = f"the simulation of {self.env_name} blew up after {n_steps} steps; the episode ends there, as a failure"
         warnings.warn(text, RuntimeWarning, stacklevel=3)
 
-    def _step(self, observation: dict[str, np.ndarray], plan: Plan, cost: float) -> Step:
+    def begin(self, seed: int, options: dict[str, Any] | None = None) -> dict[str, np.ndarray]:
+        """Start an episode; return its first observation. ``options`` are the reset's.
+
+        Raises:
+            UserError: the environment observed numbers that are not finite.
+        """
+        observation = _copied(self.env.reset(seed=seed, options=options)[0])
+        check_finite(observation, self.env_name)
+        self.controller.reset(np.random.default_rng([seed, 1]))  # not the stream that the environment draws from
+        if self.config.goal is not None:
+            self.set_goal(observation, np.array(self.config.goal))
+        return observation
+
+    def set_goal(self, observation: dict[str, np.ndarray], goal: np.ndarray) -> None:
+        """Make ``goal`` ``(G,)`` the episode's from here on, and that of the last ``observation``.
+
+        Raises:
+            UserError: as :func:`planners.app.world.check_goal`.
+        """
+        check_goal(tuple(goal.tolist()), self.env.unwrapped)
+        self.env.unwrapped.goal = goal.copy()
+        observation["desired_goal"] = goal.copy()
+
+    def record(self, observation: dict[str, np.ndarray], plan: Plan, cost: float) -> Step:
+        """Figures of a control step: the ``observation`` that it led to, its plan, and what that one costs alone."""
         world = self.env.unwrapped
         here, goal = (world.goal_positions(observation[key]) for key in ("achieved_goal", "desired_goal"))
         return Step(

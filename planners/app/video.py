@@ -19,6 +19,26 @@ LINE_WIDTH = 0.002  # radius of a plan's line, seen from one metre
 GOAL_COLOR = (0.1, 0.75, 0.2, 0.9)
 
 
+def model_to_draw(world: Any) -> mujoco.MjModel:
+    """A copy of a task's model with its own markers hidden and its wall translucent: goal and plans are drawn apart."""
+    model = copy.copy(world.model)
+    for geom in range(model.ngeom):
+        if model.body_mocapid[model.geom_bodyid[geom]] >= 0:
+            model.geom_rgba[geom, 3] = 0.0  # Fetch draws its mocap anchor as a large cross
+    for site in range(model.nsite):
+        if "target" in (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, site) or ""):
+            model.site_rgba[site, 3] = 0.0  # stock goals; the goal is drawn here, with its radius
+    wall = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "wall")
+    if wall >= 0:
+        model.geom_rgba[wall, 3] = 0.35  # the goal lies behind it
+    return model
+
+
+def plan_color(badness: float) -> tuple[float, float, float, float]:
+    """Red, green, blue and opacity of a plan: blue at 0, the cheapest shown, to a faint red at 1, the dearest."""
+    return 0.15 + 0.8 * badness, 0.35, 0.95 - 0.75 * badness, 0.9 - 0.6 * badness
+
+
 class Video:
     """Writes frames to an MP4; without a working GL library it stays silent and says so once."""
 
@@ -28,11 +48,10 @@ class Video:
         self._writer: Any = None
         self._problem: str | None = None
         # Rendering must not touch the planner's world: everything here is a copy.
-        self._model = copy.copy(world.model)
+        self._model = model_to_draw(world)
         self._data = mujoco.MjData(self._model)
         size = self._model.vis.global_  # stock robots have a smaller buffer
         size.offwidth, size.offheight = max(size.offwidth, WIDTH), max(size.offheight, HEIGHT)
-        self._hide_markers()
         self._renderer: Any = None
         try:
             self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
@@ -40,17 +59,6 @@ class Video:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             self._problem = f"no video: no off-screen OpenGL here ({reason}); install libosmesa6 or libegl1"
         self._camera = self._make_camera()
-
-    def _hide_markers(self) -> None:
-        for geom in range(self._model.ngeom):
-            if self._model.body_mocapid[self._model.geom_bodyid[geom]] >= 0:
-                self._model.geom_rgba[geom, 3] = 0.0  # Fetch draws its mocap anchor as a large cross
-        for site in range(self._model.nsite):
-            if "target" in (mujoco.mj_id2name(self._model, mujoco.mjtObj.mjOBJ_SITE, site) or ""):
-                self._model.site_rgba[site, 3] = 0.0  # stock goals; the goal is drawn here, with its radius
-        wall = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, "wall")
-        if wall >= 0:
-            self._model.geom_rgba[wall, 3] = 0.35  # the goal lies behind it
 
     def _make_camera(self) -> Any:
         if hasattr(self._world, "camera"):
@@ -89,7 +97,7 @@ class Video:
         width = LINE_WIDTH * (self._camera.distance if isinstance(self._camera, mujoco.MjvCamera) else 1.0)
         for rank in range(len(order) - 1, -1, -1):  # the best on top
             badness = rank / max(1, len(order) - 1)
-            color = (0.15 + 0.8 * badness, 0.35, 0.95 - 0.75 * badness, 0.9 - 0.6 * badness)
+            color = plan_color(badness)
             points = self._world.goal_positions(plan.trajectories.achieved_goals[order[rank]])
             for start, end in pairwise(points):
                 self._segment(start, end, width if rank else 2.0 * width, color)

@@ -1,0 +1,96 @@
+"""What a user of the studio chooses: the same configuration and circumstances as on a planner's command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mpc.knots import SplineConfig
+from napsp.envs import canonical_name
+from napsp.envs.cards import CARDS
+from napsp.errors import UserError
+from napsp.settings import changed
+from napsp.storage.checkpoint import MODEL_FILE, SHIPPED
+from planners.app.config import PlanConfig
+from planners.app.options import RunOptions
+from planners.app.searches import SEARCHES
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What is planned, and how.
+
+    Attributes:
+        plan: how plans are made.
+        run: seed, checkpoint and threads; the rest means nothing here.
+    """
+
+    plan: PlanConfig[Any]
+    run: RunOptions
+
+    def changed(self, name: str, value: Any) -> Choices:
+        """The same with another value.
+
+        Args:
+            name: an option of the planner's command line by its dotted name, such as ``search.samples``; or
+                ``planner``, ``seed`` or ``checkpoint``. ``smooth`` is a switch.
+            value: its value; None is the task's or the search's own.
+
+        Raises:
+            UserError: there is no such option, or the value is impossible or does not fit the others.
+        """
+        try:
+            return self._changed(name, value)
+        except ValueError as error:  # of a search's configuration, which knows no user
+            raise UserError(str(error)) from None
+
+    def _changed(self, name: str, value: Any) -> Choices:
+        plan, run = self.plan, self.run
+        if name == "seed":
+            return replace(self, run=replace(run, seed=value))
+        if name == "checkpoint":
+            return replace(self, run=replace(run, checkpoint=None if value is None else Path(value)))
+        if name == "env":  # what was chosen for another task does not fit this one
+            distance = replace(plan.distance, ensemble=())
+            plan = replace(plan, env=value, goal=None, horizon=None, spline=SplineConfig(), distance=distance)
+            return Choices(plan, replace(run, checkpoint=None))
+        if name == "planner":
+            if value not in SEARCHES:
+                raise UserError(f"there is no search {value!r}; choose from: {', '.join(SEARCHES)}")
+            usual = PlanConfig.of(value)
+            return replace(self, plan=replace(plan, planner=value, search=usual.search, smooth=usual.smooth))
+        if name == "smooth":
+            return replace(self, plan=replace(plan, smooth=PlanConfig.of(plan.planner, {"smooth": bool(value)}).smooth))
+        return replace(self, plan=changed(plan, {name: value}))
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """What is chosen now, by the names of :meth:`changed`; the horizon is the task's where none was asked for."""
+        plan, run = self.plan, self.run
+        search = {f"search.{name}": value for name, value in vars(plan.search).items()}
+        return search | {
+            "env": canonical_name(plan.env),
+            "planner": plan.planner,
+            "checkpoint": None if run.checkpoint is None else str(run.checkpoint),
+            "seed": run.seed,
+            "horizon": plan.horizon or plan.usual.horizon,
+            "cost": plan.cost,
+            "where": plan.where,
+            "action_of": plan.action_of,
+            "proposals": plan.proposals,
+            "smooth": plan.smooth is not None,
+            "distance.pessimism": plan.distance.pessimism,
+        }
+
+
+def checkpoints(task: str) -> list[str]:
+    """Models of a task, to be named as checkpoints: those that ship, then folders of ``runs/`` called after it."""
+    others = tuple(name for name in CARDS if name != task and name.startswith(task))
+
+    def fits(name: str) -> bool:
+        return name.startswith(task.replace("/", "-").replace(":", "-")) and not name.startswith(others)
+
+    shipped = sorted(path.parent.name for path in SHIPPED.glob(f"*/{MODEL_FILE}"))
+    trained = sorted(path.parent for path in Path("runs").glob(f"*/{MODEL_FILE}"))
+    return [name for name in shipped if fits(name)] + [str(path) for path in trained if fits(path.name)]
