@@ -67,7 +67,7 @@ def test_rescaling_inputs_keeps_every_function():
         for shift, spread in ((1.0, 2.0), (-0.5, 5.0))
     )
     transitions = batch()
-    distances = [learned(head=head, n_members=2).distance for head in HEADS]
+    distances = [learned(head=head, n_members=2, unit="step").distance for head in HEADS]
     agents = SAC(SIZES, HIDDEN, PolicyConfig()), DDPG(SIZES, HIDDEN, PolicyConfig(agent="ddpg"))
     for network in (*distances, *(n for agent in agents for n in agent.networks().values())):
         inputs = (transitions.observations, transitions.goals)
