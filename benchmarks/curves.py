@@ -175,7 +175,8 @@ def draw(axis: Any, env: str, runs: Mapping[Line, list[dict[str, Any]]], column:
     axis.set_title(" + ".join([env, *(in_title - {PAPER})]), fontsize=9)
     axis.set(xlabel="episodes", ylabel=TITLES[column])
     if axis.lines:
-        axis.legend(fontsize=6, title="method (seeds)", title_fontsize=6)
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.22), "frameon": False}  # off the data
+        axis.legend(fontsize=6, title="method (seeds)", title_fontsize=6, ncol=2, **below)
     else:
         axis.text(0.5, 0.5, "not run", ha="center", transform=axis.transAxes)
 
@@ -188,7 +189,7 @@ def grid(panels: list[tuple[str, str]], n_columns: int, path: Path) -> None:
     from matplotlib import pyplot as plt
 
     n_rows = -(-len(panels) // n_columns)
-    figure, axes = plt.subplots(n_rows, n_columns, figsize=(3.1 * n_columns, 2.5 * n_rows), layout="constrained")
+    figure, axes = plt.subplots(n_rows, n_columns, figsize=(3.1 * n_columns, 3.0 * n_rows), layout="constrained")
     for axis, (env, column) in zip(np.ravel(axes), panels, strict=True):
         draw(axis, env, current_runs(env), column)
     path.parent.mkdir(parents=True, exist_ok=True)
