@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-import viser  # pyright: ignore[reportMissingImports] - an extra
+
+if TYPE_CHECKING:
+    import viser  # pyright: ignore[reportMissingImports] - an extra
 
 FIELD_OF_VIEW = 45.0  # degrees from bottom to top, MuJoCo's own
 

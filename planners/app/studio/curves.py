@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import viser  # pyright: ignore[reportMissingImports] - an extra
 
 from planners.app.studio.trial import Lived, Scenery
+
+if TYPE_CHECKING:
+    import viser  # pyright: ignore[reportMissingImports] - an extra
 
 BLUE, RED, GREY = "#2563eb", "#dc2626", "#9ca3af"
 CHARTS = (

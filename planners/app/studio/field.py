@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import viser  # pyright: ignore[reportMissingImports] - an extra
 
 from planners.app.distance_field import DistanceField
 from planners.app.maze_map import steps_field
 from planners.app.session import Session
+
+if TYPE_CHECKING:
+    import viser  # pyright: ignore[reportMissingImports] - an extra
 
 BINS = 48  # points per side
 DEPTH = 0.6  # of the goal under the farthest place, as a share of the maze's half width
