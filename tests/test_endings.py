@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 import torch
+from gymnasium.wrappers import TimeLimit
 from line import Line
 from tabular import ExactCounts, GridWorld, TabularDistance
 from tiny import tiny
@@ -12,6 +13,8 @@ from tiny import tiny
 from napsp.data.buffer import EpisodeBuffer, sample_pairs, sample_triples
 from napsp.data.collect import roll
 from napsp.data.episodes import ARRIVED, BLOWN, CUT, LOST, Episodes, concatenate, draw_steps
+from napsp.data.explorers import Ongoing
+from napsp.data.outcomes import outcomes
 from napsp.distance.counts import CountConfig, CountModel
 from napsp.distance.graph import GraphConfig, ReplayGraph, explained
 from napsp.distance.labels import one_step_label
@@ -195,3 +198,36 @@ def test_nothing_is_learned_of_iterations_in_which_everything_blew_up_at_once():
     nothing = concatenate([uneven()[3:4]] * 2)
     learner = Learner(tiny(), None, None, None, EpisodeBuffer(), reward, np.random.default_rng(0), torch.Generator())
     assert nothing.n_steps == 0 and learner.train_triangular(nothing) == {}
+
+
+def right(observations, goals):
+    return np.ones((len(observations), 1), np.float32)
+
+
+def test_an_explorer_that_passes_the_environments_own_goal_was_cut_there():
+    explorer = Ongoing(TimeLimit(Line(goal=3.0, ends_at_goal=True), 8), anew=100)
+    explorer.goal = np.array([50.0])
+    episodes = roll([explorer], right, [0], 8)
+    assert (episodes.lengths.tolist(), episodes.endings.tolist()) == ([3], [CUT])
+    assert explorer.last is None, "it has to begin anew"
+
+
+def test_an_explorer_in_an_environment_that_counts_its_steps_begins_anew_at_once_when_that_runs_out():
+    explorer = Ongoing(TimeLimit(CountsOn(limit=8), 8), anew=100)
+    lengths = [int(roll([explorer], right, [0], 8).lengths[0]) for _ in range(5)]
+    assert lengths == [8, 1, 8, 8, 8], "found out once"
+
+
+class CountsOn(Line):
+    """Ends again at every step beyond its limit."""
+
+    def step(self, action):
+        self.over = False
+        return super().step(action)
+
+
+def test_after_a_blow_up_nobody_is_at_a_goal():
+    env = Line(start=3.0, goal=3.0, nan_beyond=3.5)
+    with pytest.warns(RuntimeWarning, match="blew up"):
+        episodes = roll([env], right, [0], 4)
+    assert episodes.endings.tolist() == [BLOWN] and not outcomes(env, episodes).reached[:, -1].any()

@@ -65,7 +65,18 @@ def test_what_cannot_be_planned_is_said(env):
         planners.controller("mppi", env, options={"search.temprature": 1})
     with pytest.raises(UserError, match=r"Pendulum.* can not be planned in: it lacks dynamics"):
         planners.controller("mppi", gymnasium.make("Pendulum-v1"))
-    with pytest.raises(UserError, match="trained with"):
+    with pytest.raises(UserError, match="trained on fetch_wall, not on point_maze"):
         planners.controller("mppi", env, cost=napsp.load("fetch_wall"))
+    with pytest.raises(UserError, match="goal of the observation"):
+        planners.controller("mppi", env, cost="sparse", options={"goal": (1.0, 1.0)})
+    with pytest.raises(UserError, match="wrapped in TransformReward"):
+        planners.controller("mppi", gymnasium.wrappers.TransformReward(env, lambda reward: reward), cost="sparse")
     with pytest.raises(AttributeError, match="no attribute 'mpppi'"):
         planners.mpppi  # noqa: B018
+
+
+def test_a_stock_task_keeps_its_name():
+    stock = napsp.make("FetchPush-v4")
+    with pytest.raises(UserError, match="no checkpoint ships for FetchPush-v4"):
+        planners.controller("mppi", stock)
+    stock.close()

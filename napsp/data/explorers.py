@@ -32,7 +32,8 @@ class Ongoing(gymnasium.Wrapper):
 
     def __init__(self, env: gymnasium.Env, anew: int) -> None:
         super().__init__(env)
-        self._anew, self._n_episodes, self._detector = anew, 0, BlowUpDetector(env)
+        self._anew, self._n_episodes, self._n_steps, self._detector = anew, 0, 0, BlowUpDetector(env)
+        self._counts = False
         self.last: dict[str, Any] | None = None
         self.goal: np.ndarray | None = None
 
@@ -41,6 +42,7 @@ class Ongoing(gymnasium.Wrapper):
         begins = self.last is None or self._n_episodes % self._anew == 0
         last: Any = self.env.reset(seed=seed, options=options)[0] if begins else self.last
         self._n_episodes += 1
+        self._n_steps = 0
         self._detector.begin()
         for limit in self._time_limits():
             limit._elapsed_steps = 0  # its episode begins as well
@@ -49,12 +51,21 @@ class Ongoing(gymnasium.Wrapper):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Advance one control step."""
-        found = self.env.step(action)
-        observation, _, terminated, truncated, _ = found
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._n_steps += 1
         late = any(limit._elapsed_steps >= limit._max_episode_steps for limit in self._time_limits())
-        over = terminated or (truncated and not late)
+        # A first step that is the last: the environment counts its steps itself, and has none left to go on with.
+        self._counts |= truncated and self._n_steps == 1
+        over = terminated or (truncated and (self._counts or not late))
         self.last = None if self._detector.blew_up(observation, over) or over else observation
-        return found
+        if terminated and self.goal is not None and self._arrived(observation):
+            terminated, truncated = False, True  # at a goal that is not ours: our way was cut there, not lost
+        return observation, reward, terminated, truncated, info
+
+    def _arrived(self, observation: dict[str, Any]) -> bool:
+        """Whether the environment is at the goal that it knows of."""
+        reached = self.env.get_wrapper_attr("reached")
+        return bool(reached(observation["achieved_goal"], observation["desired_goal"]))
 
     def _time_limits(self) -> list[Any]:
         env, found = self.env, []

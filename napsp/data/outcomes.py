@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from napsp.data.collect import Actor, roll
-from napsp.data.episodes import Episodes, concatenate
+from napsp.data.episodes import BLOWN, Episodes, concatenate
 from napsp.settings import MANY, check_ranges
 
 
@@ -60,6 +60,8 @@ def outcomes(env: gymnasium.Env, episodes: Episodes) -> Outcomes:
     goals = np.repeat(episodes.desired_goals[:, None], episodes.actions.shape[1], axis=1)
     achieved = episodes.achieved_goals[:, 1:]
     reached = env.get_wrapper_attr("reached")(achieved, goals)
+    # Nobody is at a goal after a blow-up, wherever the last good state was.
+    reached = reached & (episodes.happened() | (episodes.endings != BLOWN)[:, None])
     return Outcomes(reached, np.linalg.norm(achieved - goals, axis=-1))
 
 

@@ -154,7 +154,9 @@ def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium
     from napsp.envs.adapter import StockTask
 
     try:
-        return StockTask(lambda **options: load(**options).unwrapped, **kwargs)
+        task = StockTask(lambda **options: load(**options).unwrapped, **kwargs)
+        task.task_name = name
+        return task
     except TypeError:
         raise UserError(
             f"{name} can not be planned in: it lacks {', '.join(missing)} and is neither a "

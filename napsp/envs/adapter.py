@@ -112,6 +112,9 @@ class StockTask(gymnasium.Env):
         UserError: its actions have no bounds.
     """
 
+    task_name: str | None = None
+    """What the user calls it, if it was made by a name."""
+
     def __init__(self, make: Callable[..., Any], render_mode: str | None = None) -> None:
         self._stock = wrap(make(render_mode=render_mode))
         env = self._stock.env

@@ -83,6 +83,8 @@ def make_goal_task(name: str, reached: str | None = None, **kwargs: Any) -> gymn
     """
     name = tasks.canonical_name(name)
     if name in CARDS or _plannable(env := tasks.create(name, **kwargs)):
+        if name not in CARDS:
+            env.close()  # it showed what it is; planning makes its own
         if reached is not None:
             raise UserError(f"{name} has a success test of its own; leave out --reached")
         return tasks.make(name, **kwargs)

@@ -13,6 +13,10 @@ from napsp.storage.files import OLDER
 
 def todays(tensors: dict[str, Tensor], header: dict[str, Any]) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The content of a model file as it would be written today."""
+    config = header["config"]
+    if config.get("method") == "plus" and "stay" not in config.get("bootstrap", {}):
+        # No arrival had to last yet.
+        header = {**header, "config": {**config, "bootstrap": {**config["bootstrap"], "stay": 0.0}}}
     if header["format"] != OLDER:
         return tensors, header
     renamed = {name.replace("distance.net.", "distance.heads.0.net."): value for name, value in tensors.items()}

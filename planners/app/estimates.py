@@ -28,6 +28,8 @@ def load_models(config: PlanConfig[Any], checkpoint: Path | None, given: Model |
     if config.cost != "distance":
         return []
     env_name = config.env
+    if given is not None and given.config.env != env_name:
+        raise UserError(f"this distance was trained on {given.config.env}, not on {env_name}; load one of {env_name}")
     model = given or load_model(checkpoint or shipped_model(env_name), env_name)
     if model.distance is None:
         raise UserError("this checkpoint holds no distance (method sparse); use --cost sparse or another one")

@@ -12,6 +12,7 @@ import numpy as np
 from mpc.controller import Controller, Plan
 from mpc.cost import GivenSteps
 from napsp import envs as tasks
+from napsp.envs.wrappers import LOOKERS, STANDARD
 from napsp.errors import UserError
 from napsp.library import Distance
 from planners.app.build import build_controller
@@ -95,6 +96,15 @@ def controller(
     if missing:
         raise UserError(f"{type(world).__name__} can not be planned in: it lacks {', '.join(missing)}, see "
                         "docs/environments.md")  # fmt: skip
+    around, own = env, []
+    while around is not world:
+        own += [] if isinstance(around, (*STANDARD, *LOOKERS)) else [type(around).__name__]
+        around = around.env  # type: ignore[attr-defined]
+    if own:
+        raise UserError(f"the environment is wrapped in {', '.join(own)}, which plans would not pass through; plan in "
+                        "it without them")  # fmt: skip
+    if "goal" in (options or {}):
+        raise UserError("a controller plans to the goal of the observation that it is handed; change that one instead")
     named = "distance" if isinstance(cost, Distance) else cost if isinstance(cost, str) else "sparse"
     changes = {"env": _name(env), "cost": named, "horizon": horizon, **(options or {})}
     changes |= {} if samples is None else {"search.samples": samples}
@@ -107,6 +117,8 @@ def controller(
 
 def _name(env: gymnasium.Env) -> str:
     """The task's name, which tells its defaults; of classes that nobody registered, ``module:Class``."""
+    if getattr(env.unwrapped, "task_name", None):
+        return env.unwrapped.task_name  # type: ignore[attr-defined]
     if env.spec is not None:
         return tasks.canonical_name(env.spec.id)
     kind = type(env.unwrapped)

@@ -70,8 +70,12 @@ class Session:
         models = load_models(config, run.checkpoint)
         # Classes of the user's own need not know render modes, so none is named unless one is asked for.
         env = tasks.make(config.env, **({"render_mode": "human"} if run.render == "human" else {}))
-        verified = verify_task(config, run) if config.env not in CARDS and config.model.kind == "exact" else None
-        controller = build_controller(config, run, models, env.unwrapped, verified.forks if verified else CAN_FORK)
+        try:
+            verified = verify_task(config, run) if config.env not in CARDS and config.model.kind == "exact" else None
+            controller = build_controller(config, run, models, env.unwrapped, verified.forks if verified else CAN_FORK)
+        except BaseException:
+            env.close()
+            raise
         return cls(config, run, env, controller, models, verified)
 
     @property
