@@ -43,13 +43,18 @@ def test_members_are_fitted_on_their_own():
     torch.testing.assert_close(subject.distance.members(rows)[1], alone.fractions(rows), atol=1e-6, rtol=1e-4)
 
 
-def test_the_loss_is_the_sum_of_the_members_squared_errors_in_units_of_t():
+@pytest.mark.parametrize(
+    ("loss", "weights"),
+    [("squared", lambda labels: torch.ones_like(labels)), ("relative", lambda labels: 10.0 / (labels + 5.0))],
+)
+def test_a_loss_is_the_weighted_sum_of_the_members_squared_errors_in_units_of_t(loss, weights):
     subject, rows = learned(n_members=2), rows_of(batch())
     labels = 50 * torch.rand(64, generator=torch.Generator().manual_seed(0))
     members = subject.distance.members(rows).detach()
-    loss, metrics = LOSSES["squared"](subject.distance, Labelled(rows, labels, 100))
-    torch.testing.assert_close(loss.detach(), ((members - labels / 50) ** 2).sum() / 100)
+    value, metrics = LOSSES[loss](subject.distance, Labelled(rows, labels, 100))
+    torch.testing.assert_close(value.detach(), (weights(labels) * (members - labels / 50) ** 2).sum() / 100)
     torch.testing.assert_close(metrics["predictions"], 50 * (members[0] + members[1]) / 2)
+    assert value.requires_grad and not metrics["predictions"].requires_grad
 
 
 @pytest.mark.parametrize("kind", [SAC, DDPG])
