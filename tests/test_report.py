@@ -13,7 +13,7 @@ from benchmarks import readme, units
 from benchmarks.report import __main__ as report
 from benchmarks.report.markup import Markup, sort_key
 from benchmarks.report.origins import ORIGINS, ranges
-from benchmarks.report.sections import pictures_section
+from benchmarks.report.sections import pictures_section, readme_pictures
 from benchmarks.tables_columns import COLUMNS
 from napsp.errors import UserError
 from planners.app import command
@@ -125,10 +125,10 @@ def test_videos_are_shown_as_long_as_there_is_room(tmp_path):
         (tmp_path / f"{name}.mp4").write_bytes(bytes(size))
     body = pictures_section(tmp_path, 10**6).body
     assert body.count("<video") == 2 and "No videos" not in body
-    pictures = sum(path.stat().st_size for path in (ROOT / "docs" / "images").glob("*[el].gif"))
-    room = pictures + (ROOT / "docs" / "images" / "point_maze.png").stat().st_size + 500
-    body = pictures_section(tmp_path, room).body
-    assert body.count("<video") == 1 and "b.mp4 is left out" in body
+    pictures = readme_pictures()
+    assert len(pictures) == 3 and all("seed 0" in caption and "step" in caption for caption in pictures.values())
+    body = pictures_section(tmp_path, sum(path.stat().st_size for path in pictures) + 500).body
+    assert body.count("<video") == 1 and body.count("<img") == 3 and "b.mp4 is left out" in body
 
 
 def test_the_claw_is_measured_in_degrees():

@@ -19,6 +19,7 @@ MISSING = ("", "-", "not run")
 NUMBER = re.compile(r"[+-]?\d+(\.\d+)?(?![\w.])")
 INTERVAL = re.compile(r"(\[[^\]]*\d[^\]]*\])")
 OF_A_METHOD = ("method", "training")
+SHORT = 26  # characters that stay on one line
 
 
 def data_uri(content: bytes, suffix: str) -> str:
@@ -90,7 +91,7 @@ class Markup:
         cell, column = tokens[index + 1].content, self._columns[self._at]
         self._at += 1
         key = sort_key(cell)
-        classes = "number" if key == "Infinity" or NUMBER.fullmatch(key) else "missing" if not key else ""
+        classes = "missing" if not key else "short" if len(cell) <= SHORT or NUMBER.fullmatch(key) else ""
         return f'<td class="{classes}" data-key="{html.escape(key)}">{self._dot(cell) if column in OF_A_METHOD else ""}'
 
     @staticmethod

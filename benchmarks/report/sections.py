@@ -24,7 +24,6 @@ CAPTIONS = {
     "smoothing_frontier": "Success against action rate, smoothed and filtered (python -m benchmarks.smoothing)",
 }
 """Of figures that belong to no table; others are called as their files are."""
-PICTURES = Path("docs") / "images"
 FEW = 4  # revisions that are named at once
 
 
@@ -102,11 +101,17 @@ def figures_section(markup: Markup) -> Section | None:
     return Section("Further figures", "".join(figure(path.read_bytes(), path.suffix, name) for path, name in named))
 
 
+def readme_pictures() -> dict[Path, str]:
+    """Pictures of planned episodes and their captions, as the README has them."""
+    found = re.findall(r"!\[[^]]*\]\((docs/images/[^)]+)\)\n\n\*([^*]+)\*\n", readme.README.read_text())
+    return {Path(path): " ".join(caption.replace("`", "").split()) for path, caption in found}
+
+
 def pictures_section(videos: Path, budget: int) -> Section:
-    """Planned episodes: the README's pictures and the videos of planning commands, as long as bytes are left."""
+    """Planned episodes: the README's pictures, and the videos of planning commands as long as bytes are left."""
     parts, left = [], budget
-    for path in sorted((*PICTURES.glob("*.gif"), *PICTURES.glob("point_maze.png"))):
-        parts.append(figure(path.read_bytes(), path.suffix, f"{path.stem} (python -m benchmarks.pictures)"))
+    for path, caption in readme_pictures().items():
+        parts.append(figure(path.read_bytes(), path.suffix, caption))
         left -= path.stat().st_size
     found = sorted(videos.rglob("*.mp4"))
     for path in found:
