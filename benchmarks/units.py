@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 
-from napsp.envs import canonical_name
-
 
 def unit(env: str) -> str:
     """What distances to a goal of a task are given in."""
-    return "°" if canonical_name(env) == "claw" else "m"
+    return "°" if env == "claw" else "m"
 
 
 def in_unit(env: str, column: str, value: float) -> float:
