@@ -48,7 +48,8 @@ def fetch_wall(path: Path, seed: int) -> None:
     """The same episode, search and budget with two costs: the straight line beside d."""
     line = Shot("MPPI, cost: straight line", "mppi", {"env": "fetch_wall", "cost": "euclidean", **ALONE})
     learned = Shot("MPPI, cost: d", "mppi", {"env": "fetch_wall", "cost": "distance", **ALONE})
-    write_gif(path, beside(*(filmed(shot, seed, 18, ALONG_THE_WALL, 380) for shot in (line, learned))))
+    left, right = (filmed(shot, seed, 18, ALONG_THE_WALL, 380) for shot in (line, learned))
+    write_gif(path, beside(left, right))
 
 
 def fetch_pick_place_wall(path: Path, seed: int) -> None:
