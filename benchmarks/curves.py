@@ -20,6 +20,7 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, learning_curves, usual_recipe
 from benchmarks.command import read_options
+from benchmarks.units import in_unit, unit
 from napsp.config import DEFAULT, METHODS, OF_THE_GATE, PAPER, identity_of, idle_options, preset, recipes
 from napsp.envs.cards import suite
 from napsp.errors import run_command
@@ -45,7 +46,7 @@ STYLES = ("-", "--", ":", "-.")
 TITLES = {
     "success_rate": "success (last step)",
     "any_success_rate": "success (some step)",
-    "max_reward": "maximum reward [m]",
+    "max_reward": "maximum reward [{unit}]",
     "merging_rate": "merging rate",
     "relaxation_rate": "relaxation rate",
 }
@@ -151,7 +152,7 @@ def over_seeds(runs: list[dict[str, Any]], column: str) -> tuple[np.ndarray, np.
     for run in runs:
         for row in run["curve"]:
             if column in row:
-                values[row["episodes"]].append(row[column])
+                values[row["episodes"]].append(in_unit(run["config"]["env"], column, row[column]))
     episodes = sorted(e for e, v in values.items() if len(v) == len(runs))
     summaries = [interquartile_mean(values[e]) for e in episodes]
     ends = [interval or (np.nan, np.nan) for _, interval in summaries]
@@ -173,7 +174,7 @@ def draw(axis: Any, env: str, runs: Mapping[Line, list[dict[str, Any]]], column:
             axis.fill_between(episodes, *ends, color=color, alpha=0.15, linewidth=0)
             drawn[line.method] += 1
     axis.set_title(" + ".join([env, *(in_title - {PAPER})]), fontsize=9)
-    axis.set(xlabel="episodes", ylabel=TITLES[column])
+    axis.set(xlabel="episodes", ylabel=TITLES[column].format(unit=unit(env)))
     if axis.lines:
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.22), "frameon": False}  # off the data
         axis.legend(fontsize=6, title="method (seeds)", title_fontsize=6, ncol=2, **below)

@@ -1,4 +1,6 @@
-"""Writes the results of README and docs/results.md from the rows in ``results/``: ``python -m benchmarks.readme``."""
+"""Writes the results of README and docs/results.md from the rows in ``results/``, and what their columns mean into
+docs/glossary.md: ``python -m benchmarks.readme``.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +13,13 @@ from benchmarks import tables_planning as planning
 from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.command import read_options
+from benchmarks.tables_columns import columns_table
 from benchmarks.tables_plus import ablation_table
 from napsp.errors import run_command
 from napsp.storage.files import write_atomically
 
 Table = Callable[[], list[str]]
-README, PAGE = Path("README.md"), Path("docs") / "results.md"
+README, PAGE, GLOSSARY = Path("README.md"), Path("docs") / "results.md", Path("docs") / "glossary.md"
 START, END = "<!-- results:start -->", "<!-- results:end -->"
 TABLES: dict[Path, tuple[Table, ...]] = {
     README: (planning.glance_table,),
@@ -25,6 +28,7 @@ TABLES: dict[Path, tuple[Table, ...]] = {
         planning.smoothing_table, training.training_table, training.coverage_table, training.gate_table,
         speed.speed_table, speed.throughput_table, speed.learner_table,
     ),
+    GLOSSARY: (columns_table,),
 }  # fmt: skip
 """What is shown where."""
 
@@ -46,7 +50,7 @@ def updated(page: Path, text: str) -> str:
 
 @dataclass(frozen=True)
 class ReadmeOptions:
-    """Write the tables of the README and of docs/results.md from the rows in results/; there is nothing to choose."""
+    """Write the tables of README, docs/results.md and docs/glossary.md; there is nothing to choose."""
 
 
 def main() -> int:
@@ -54,7 +58,7 @@ def main() -> int:
     read_options(ReadmeOptions, "readme")
     for page in TABLES:
         write_atomically(page, updated(page, page.read_text()).encode())
-        print(f"{page} updated from results/")
+        print(f"{page} updated")
     return 0
 
 

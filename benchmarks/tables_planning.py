@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from typing import Any
 
 from benchmarks import distance_as_cost, policy_vs_mpc, smoothing
 from benchmarks.cells import RESULTS, read_results, shipped_training, training_of
@@ -39,27 +40,40 @@ def glance_table() -> list[str]:
     return lines
 
 
-def _glance(env: str, variant: str) -> list[str]:
-    """Cells of a task's line, of a model that ships for it."""
+def glance_rows() -> list[dict[str, Any]]:
+    """The rows that the lines of all tasks are made of."""
+    return [row for env in suite("paper") for variant in ("", "_plus") for row in _glanced(env, variant).values()]
+
+
+def _glanced(env: str, variant: str) -> dict[str, dict[str, Any]]:
+    """Rows of a model that ships for a task, by column; those that were run."""
     planner, shipped = "icem" if "pick_place" in env else "mppi", shipped_training(env, variant)
     found: dict[tuple[str, str], dict[str, str]] = {}
     for row in policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE), training_seed=shipped[1] if shipped else 0):
         if row["env"] == env and shipped and training_of(row) == shipped[0] and row["budget"] in ("0", "64"):
             found[row["planner"], row["proposals"]] = row
     straight = [
-        _success(row)
-        for row in distance_as_cost.comparable(read_results(RESULTS / "distance_as_cost.csv"))
+        row
+        for row in cost_rows()
         if (row["env"], row["variant"], row["starts"]) == (env, "euclidean, mean along the plan", "")
     ]
-    line = straight[-1] if straight else "not run"
-    policy, plans, alone = (found.get(cell) for cell in (("policy", "0"), (planner, "1"), (planner, "0")))
+    columns = {"policy": ("policy", "0"), "planner": (planner, "1"), "d alone": (planner, "0")}
+    rows = {column: found[cell] for column, cell in columns.items() if cell in found}
+    return rows | ({"straight line": straight[-1]} if straight else {})
+
+
+def _glance(env: str, variant: str) -> list[str]:
+    """Cells of a task's line, of a model that ships for it."""
+    rows = _glanced(env, variant)
+    line = _success(rows["straight line"]) if "straight line" in rows else "not run"
+    policy, plans, alone = (rows.get(column) for column in ("policy", "planner", "d alone"))
     if policy is None or plans is None:
         return [f"{'plus' if variant else 'ours'}, not run", line, "", "", "", "", ""]
     gain, (low, high) = paired_proportions(*([float(hit) for hit in row["successes"]] for row in (plans, policy)))
     steps = [f"{float(row['mean_steps_to_goal'] or 'nan'):.1f}" for row in (policy, plans)]
     return [
         f"{policy['line'].name}, {policy['training_episodes']} episodes",
-        line, _success(policy), _success(alone) if alone else "not run", f"{_success(plans)} {planner}",
+        line, _success(policy), _success(alone) if alone else "not run", f"{_success(plans)} {plans['planner']}",
         f"{gain:+.2f} [{low:+.2f}, {high:+.2f}]", " / ".join(steps).replace("nan", "-"),
     ]  # fmt: skip
 
@@ -74,10 +88,15 @@ def _by_task(env: str) -> tuple[int, str]:
     return suite("paper").index(env) if env in suite("paper") else len(suite("paper")), env
 
 
+def cost_rows() -> list[dict[str, Any]]:
+    """What :func:`cost_table` pools."""
+    return distance_as_cost.comparable(read_results(RESULTS / "distance_as_cost.csv"))
+
+
 def cost_table() -> list[str]:
     """Costs for planning, pooled over training seeds."""
     groups: dict[tuple[str, str, str], list[dict[str, str]]] = defaultdict(list)
-    for row in distance_as_cost.comparable(read_results(RESULTS / "distance_as_cost.csv")):
+    for row in cost_rows():
         variant = row["variant"] + (", uniform starts and goals" if row["starts"] else "")
         groups[row["env"], variant, row["line"].name if row["line"] else "-"].append(row)
     lines = [
@@ -109,9 +128,14 @@ def _cores(row: dict[str, str]) -> str:
     return "" if cores == "2" else f" ({cores} core{'s' if cores != '1' else ''})"
 
 
+def versus_rows() -> list[dict[str, Any]]:
+    """What :func:`versus_table` shows."""
+    return policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE))
+
+
 def versus_table() -> list[str]:
     """The policy against planners with the same distance."""
-    rows = policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE))
+    rows = versus_rows()
     rows.sort(key=lambda row: (*_by_task(row["env"]), -int(row["training_episodes"]), row["line"].name))
     lines = [
         "### Policy against planner (`python -m benchmarks.policy_vs_mpc --env NAME`)",
@@ -136,6 +160,11 @@ def versus_table() -> list[str]:
     return lines if rows else []
 
 
+def smoothing_rows() -> list[dict[str, Any]]:
+    """What :func:`smoothing_table` shows."""
+    return smoothing.comparable(read_results(RESULTS / "smoothing.csv"))
+
+
 def smoothing_table() -> list[str]:
     """Planners with and without the smoothing layer."""
     lines = [
@@ -148,8 +177,7 @@ def smoothing_table() -> list[str]:
         "| task | planner | proposals | variant | success | first hit | action rate | jerk | accepted | risen | search + smoothing [ms] |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    rows = smoothing.comparable(read_results(RESULTS / "smoothing.csv"))
-    for row in sorted(rows, key=lambda row: (row["env"], row["planner"], row["proposals"])):
+    for row in sorted(smoothing_rows(), key=lambda row: (row["env"], row["planner"], row["proposals"])):
         hits = [float(hit) for hit in row["first_hits"].split() if hit != "-"]
         n, rate = int(row["episodes"]), float(row["success_rate"])
         shares = [f"{float(row[name]):.2f}" for name in ("accepted_share", "kept_share") if row.get(name)]

@@ -20,6 +20,17 @@ def held(run: dict[str, Any]) -> float:
     return float(np.mean([row["success_rate"] for row in run["curve"][-LAST:]]))
 
 
+def ablation_runs(env: str, part: str) -> list[dict[str, Any]]:
+    """Published runs of plus without a part."""
+    identity = without(env, part, 0).identity()
+    return [run for run in learning_curves(env) if identity_of(run["config"]) == identity]
+
+
+def ablation_rows() -> list[dict[str, Any]]:
+    """The runs of :func:`ablation_table`."""
+    return [run for env in TASKS for part in removals(env) for run in ablation_runs(env, part)]
+
+
 def ablation_table() -> list[str]:
     """What each part of plus is worth."""
     lines = [
@@ -33,10 +44,8 @@ def ablation_table() -> list[str]:
     ]
     measured = {(row["training"], row["seed"]): row for row in read_results(RESULTS / "distance_accuracy.csv")}
     for env in TASKS:
-        curves = learning_curves(env)
         for part in removals(env):
-            identity = without(env, part, 0).identity()
-            runs = [run for run in curves if identity_of(run["config"]) == identity]
+            identity, runs = without(env, part, 0).identity(), ablation_runs(env, part)
             if not runs:
                 lines.append(f"| {env} | {part} | not run | | | | |")
                 continue

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 from benchmarks.cells import RESULTS, read_results
+
+SPEED, LEARNER = "rollout_speed_*.json", "learner_speed_*.json"
+
+
+def json_rows(pattern: str) -> list[dict[str, Any]]:
+    """Rows that have a file each."""
+    return [json.loads(path.read_text()) for path in sorted(RESULTS.glob(pattern))]
 
 
 def speed_table() -> list[str]:
@@ -20,8 +28,7 @@ def speed_table() -> list[str]:
         "| task | planning model | samples x horizon | policy proposal | plan / replay (CPU) | plan / raw (CPU) | ms per plan | collection in fetch_reach against stock step, same model |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for path in sorted(RESULTS.glob("rollout_speed_*.json")):
-        row = json.loads(path.read_text())
+    for row in json_rows(SPEED):
         collection = row.get("collection_speedup_same_model")
         lines.append(
             f"| {row['env']} | {row.get('planning_model', 'exact')} | {row['samples']} x {row['horizon']} "
@@ -68,8 +75,7 @@ def learner_table() -> list[str]:
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     cpu, idle = "ours_cpu_seconds_per_second", "share_outside_kernels"
-    for path in sorted(RESULTS.glob("learner_speed_*.json")):
-        row = json.loads(path.read_text())
+    for row in json_rows(LEARNER):
         lines.append(
             f"| {row['hidden']} | {row['batch_size']} | {row.get('device', 'cpu')} | {row['threads']} "
             f"| {row['torch']} | {row.get('matmul_precision', 'highest')} "

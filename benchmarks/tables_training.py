@@ -13,6 +13,7 @@ from benchmarks.cells import RESULTS, read_results, training_of
 from benchmarks.coverage import CoverageOptions
 from benchmarks.curves import Line, current_runs, expected_lines, full_line_of, is_current
 from benchmarks.distance_accuracy import AccuracyOptions
+from benchmarks.units import in_unit
 from napsp.config import DEFAULT, OF_THE_GATE, from_dict, preset
 from napsp.envs.cards import suite
 from napsp.settings import flat, to_dict
@@ -40,6 +41,14 @@ def _current(name: str, **sizes: int) -> list[tuple[str, dict[str, str]]]:
     ]
 
 
+def shipped_records() -> dict[str, dict[str, Any]]:
+    """Records of the checkpoints that ship, by name."""
+    return {
+        path.parent.name: json.loads(path.read_text())
+        for path in sorted(Path("napsp/checkpoints").glob("*/training.json"))
+    }
+
+
 def training_table() -> list[str]:
     """Final evaluation of the shipped checkpoints."""
     lines = [
@@ -51,19 +60,25 @@ def training_table() -> list[str]:
         "| checkpoint | command | otherwise | episodes | wall minutes, machine shared | success | d at the goal |",
         "|---|---|---|---|---|---|---|",
     ]
-    for path in sorted(Path("napsp/checkpoints").glob("*/training.json")):
-        record = json.loads(path.read_text())
+    for name, record in shipped_records().items():
         final, stored, usual = record["final"], flat(record["config"]), flat(to_dict(DEFAULT))
         task = flat(to_dict(preset(stored["env"])))
-        lacking = {name: task[name] for name in OF_THE_GATE if name not in stored}  # of a key that it did not have
-        known = {name: value for name, value in stored.items() if name in usual}
+        lacking = {
+            option: task[option] for option in OF_THE_GATE if option not in stored
+        }  # of a key that it did not have
+        known = {option: value for option, value in stored.items() if option in usual}
         command = command_line(from_dict({**known, **lacking}))
-        otherwise = ", ".join(f"{name} {value}" for name, value in stored.items() if name not in usual)
+        otherwise = ", ".join(f"{option} {value}" for option, value in stored.items() if option not in usual)
         lines.append(
-            f"| {path.parent.name} | `{command}` | {otherwise or '-'} | {record['episodes']:.0f} | {record['minutes']:.1f} "
+            f"| {name} | `{command}` | {otherwise or '-'} | {record['episodes']:.0f} | {record['minutes']:.1f} "
             f"| {final['success_rate']:.2f} | {final.get('distance_at_goal', float('nan')):.1f} |"
         )
     return lines
+
+
+def learning_rows() -> list[dict[str, Any]]:
+    """The runs of :func:`learning_table`."""
+    return [run for env in (*suite("paper"), *suite("harder")) for runs in current_runs(env).values() for run in runs]
 
 
 def learning_table() -> list[str]:
@@ -75,7 +90,7 @@ def learning_table() -> list[str]:
         "",
         "Last evaluation of each training run, on goals that all methods and seeds share; interquartile mean over seeds with its",
         "95 % bootstrap interval (three seeds or more). *Success* is being at the goal in the last step, *maximum reward* the least",
-        "distance to the goal in an episode, negated (the oldest runs did not record it). *0.5 first at episode* and its neighbours: the",
+        "distance to the goal in an episode, negated (of the claw an angle; the oldest runs did not record it). *0.5 first at episode* and its neighbours: the",
         "first evaluation with so much success, median over seeds, and how many of them got there.",
         "*+ manipulation* is `--recipe manipulation`, with what pick and place is learned with beyond the paper, *first arrival*",
         "`--temporal.first-arrival`, which the paper does not have either. Some lines are of older versions, and are shown until today's were",
@@ -86,7 +101,7 @@ def learning_table() -> list[str]:
         "",
         "![Success on the two harder tasks](results/harder_tasks.png)",
         "",
-        "| task | method | seeds | episodes | success | some-step success | maximum reward [m] | 0.5 first at episode | 0.9 | 1.0 |",
+        "| task | method | seeds | episodes | success | some-step success | maximum reward [m, claw °] | 0.5 first at episode | 0.9 | 1.0 |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for env in (*suite("paper"), *suite("harder")):
@@ -94,7 +109,7 @@ def learning_table() -> list[str]:
         for line in sorted({*expected_lines(env), *runs}, key=Line.rank):
             cells = ["not run", *[""] * 7]
             if line in runs:
-                last = [run["curve"][-1] for run in runs[line]]
+                last = [{k: in_unit(env, k, v) for k, v in run["curve"][-1].items()} for run in runs[line]]
                 summaries = [_over_seeds(last, k) for k in ("success_rate", "any_success_rate", "max_reward")]
                 first = [first_at(runs[line], rate) for rate in (0.5, 0.9, 1.0)]
                 wanted = preset(env, line.method, line.recipe).n_episodes
@@ -137,6 +152,18 @@ ACCURACY = {
 }
 
 
+def accuracy_groups() -> dict[tuple[str, str], list[dict[str, str]]]:
+    """Rows of all training seeds, by task and method."""
+    usual = (str(AccuracyOptions.n_starts), str(AccuracyOptions.n_goals))
+    groups: dict[tuple[str, str], list[dict[str, str]]] = {}
+    for row in read_results(RESULTS / "distance_accuracy.csv"):
+        training = training_of(row)
+        line = full_line_of(training) if training else None
+        if (row["n_starts"], row["n_goals"]) in (usual, ("", "")) and (line is not None or training is None):
+            groups.setdefault((row["env"], line.name if line else row["method"]), []).append(row)
+    return groups
+
+
 def accuracy_table() -> list[str]:
     """Distances against exact ones, and against the best known steps."""
     lines = [
@@ -155,19 +182,16 @@ def accuracy_table() -> list[str]:
         f"| task | method | seeds | {' | '.join(ACCURACY.values())} |",
         f"|---|---|---|{'---|' * len(ACCURACY)}",
     ]
-    rows = read_results(RESULTS / "distance_accuracy.csv")
-    usual = (str(AccuracyOptions.n_starts), str(AccuracyOptions.n_goals))
-    groups: dict[tuple[str, str], list[dict[str, str]]] = {}
-    for row in rows:
-        training = training_of(row)
-        line = full_line_of(training) if training else None
-        if (row["n_starts"], row["n_goals"]) in (usual, ("", "")) and (line is not None or training is None):
-            groups.setdefault((row["env"], line.name if line else row["method"]), []).append(row)
-    for (env, name), group in sorted(groups.items()):
+    for (env, name), group in sorted(accuracy_groups().items()):
         values = {k: [float(row[k]) for row in group if row.get(k)] for k in ACCURACY}
         cells = [describe(*interquartile_mean(found)) if found else "-" for found in values.values()]
         lines.append(f"| {env} | {name} | {len(group) if group[0]['seed'] else '-'} | {' | '.join(cells)} |")
     return lines
+
+
+def coverage_rows() -> list[tuple[str, dict[str, str]]]:
+    """Lines and rows of :func:`coverage_table`."""
+    return _current("coverage.csv", bins=CoverageOptions.bins)
 
 
 def coverage_table() -> list[str]:
@@ -180,11 +204,17 @@ def coverage_table() -> list[str]:
         "| task | method | seed | episodes | house covered | goal room covered | success | any-step success |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for name, row in _current("coverage.csv", bins=CoverageOptions.bins):
+    for name, row in coverage_rows():
         names = ("coverage", "goal_room_coverage", "success_rate", "any_success_rate")
         figures = [f"{float(row[k]):.2f}" for k in names]
         lines.append(f"| {row['env']} | {name} | {row['seed']} | {row['episodes']} | {' | '.join(figures)} |")
     return lines
+
+
+def gate_rows() -> dict[str, dict[str, str]]:
+    """Rows of :func:`gate_table`, by task."""
+    rows = {row["env"]: row for row in read_results(RESULTS / "count_gate.csv")}
+    return {env: rows[env] for env in (*suite("paper"), *suite("harder"), *suite("variant")) if env in rows}
 
 
 def gate_table() -> list[str]:
@@ -199,10 +229,9 @@ def gate_table() -> list[str]:
         "| task | warm-up episodes | false | true | all episodes | false | true |",
         "|---|---|---|---|---|---|---|",
     ]
-    rows = {row["env"]: row for row in read_results(RESULTS / "count_gate.csv")}
-    for env in (*suite("paper"), *suite("harder"), *suite("variant")):
-        if env in rows:
-            lines.append(f"| {env} | {' | '.join([*_gate(rows[env], 'warmup'), *_gate(rows[env], 'trained')])} |")
+    rows = gate_rows()
+    for env, row in rows.items():
+        lines.append(f"| {env} | {' | '.join([*_gate(row, 'warmup'), *_gate(row, 'trained')])} |")
     return lines if rows else []
 
 

@@ -23,6 +23,8 @@ def interquartile_mean(values: Sequence[float]) -> tuple[float, tuple[float, flo
     mean = float(trim_mean(data, 0.25))
     if len(data) < 3:
         return mean, None
+    if (data == data[0]).all():
+        return mean, (mean, mean)  # as every resample has it
 
     def resampled(sample: np.ndarray, axis: int) -> np.ndarray:
         return trim_mean(sample, 0.25, axis=axis)

@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -11,12 +10,11 @@ import time
 from pathlib import Path
 
 import pytest
+from browsers import opened_browser
 
 pytest.importorskip("viser", reason="the studio's page needs pip install 'napsp[studio]'")
 pytest.importorskip("mjviser", reason="the studio's page needs pip install 'napsp[studio]'")
 
-NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PATIENCE = 120  # seconds; a page that is drawn without a GPU on busy cores is slow
 TASK = ["--env", "fetch_reach", "--samples", "8", "--threads", "2"]  # with a helper process
 
@@ -72,16 +70,8 @@ def start():
 
 @pytest.fixture(scope="module")
 def browser():
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="the studio's page is tried with pip install playwright"
-    )
-    path = next(filter(None, map(shutil.which, NAMES)), None)
-    with playwright.sync_playwright() as running:
-        if path is None and not os.path.exists(running.chromium.executable_path):
-            pytest.skip(f"the studio's page is tried in a browser, and none is installed ({NAMES[0]}, say)")
-        opened = running.chromium.launch(executable_path=path, args=SOFTWARE)
+    with opened_browser() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.fixture

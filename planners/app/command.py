@@ -14,11 +14,12 @@ USAGE = """napsp: planning with learned distances
   napsp studio --env TASK ...          the same live, in the browser
   napsp train --env TASK ...           train a distance and a policy
   napsp evaluate --env TASK ...        run a trained policy alone
+  napsp report                         all results of a clone as one page (results/report.html)
   napsp list                           tasks, searches, and the models that ship
 
 Each with --help says what it can do."""
 TRAINING = ("train", "evaluate")
-WORDS = ("plan", "studio", *TRAINING, "list")
+WORDS = ("plan", "studio", *TRAINING, "report", "list")
 
 
 def main() -> None:
@@ -42,6 +43,9 @@ def run(arguments: list[str]) -> int | None:
     if word in TRAINING:
         sys.argv = [f"napsp {word}", *rest]
         return importlib.import_module(f"napsp.{word}").main()
+    if word == "report":
+        sys.argv = ["napsp report", *rest]
+        return importlib.import_module("benchmarks.report.__main__").main()  # by name: nothing here needs benchmarks
     if word == "plan":
         return _plan(rest)
     if word == "studio":

@@ -68,9 +68,25 @@ class Video:
         return camera
 
     def frame(self, observation: dict[str, np.ndarray], plan: Plan) -> None:
-        """Draw the world as it is before the plan's action is executed."""
-        if self._renderer is None:
+        """Add a frame of the world as it is before the plan's action is executed."""
+        image = self.image(observation, plan)
+        if image is None:
             return
+        if self._writer is None:
+            self._writer = imageio_ffmpeg.write_frames(
+                str(self._partial),
+                (WIDTH, HEIGHT),
+                fps=FRAMES_PER_SECOND,
+                macro_block_size=16,
+                ffmpeg_log_level="error",
+            )
+            self._writer.send(None)
+        self._writer.send(np.ascontiguousarray(image))
+
+    def image(self, observation: dict[str, np.ndarray], plan: Plan) -> np.ndarray | None:
+        """Pixels ``(HEIGHT, WIDTH, 3)`` of the world as it is now, with goal and plans; None without OpenGL."""
+        if self._renderer is None:
+            return None
         state = mujoco.mjtState.mjSTATE_FULLPHYSICS
         values = np.empty(mujoco.mj_stateSize(self._model, state))
         mujoco.mj_getState(self._world.model, self._world.data, values, state)
@@ -81,16 +97,7 @@ class Video:
         self._sphere(goal, 0.35 * radius, GOAL_COLOR)
         self._sphere(goal, radius, (*GOAL_COLOR[:3], 0.15))
         self._draw_plans(plan)
-        if self._writer is None:
-            self._writer = imageio_ffmpeg.write_frames(
-                str(self._partial),
-                (WIDTH, HEIGHT),
-                fps=FRAMES_PER_SECOND,
-                macro_block_size=16,
-                ffmpeg_log_level="error",
-            )
-            self._writer.send(None)
-        self._writer.send(np.ascontiguousarray(self._renderer.render()))
+        return self._renderer.render()
 
     def _draw_plans(self, plan: Plan) -> None:
         order = plan.cheapest(SHOWN_PLANS)
