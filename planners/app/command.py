@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
-import importlib
+import importlib.util
+import runpy
 import sys
+from collections.abc import Callable
 
-from napsp.errors import UserError, run_command
+from napsp.errors import UserError, choose, run_command
 
 USAGE = """napsp: planning with learned distances
 
@@ -15,10 +16,10 @@ USAGE = """napsp: planning with learned distances
   napsp train --env TASK ...           train a distance and a policy
   napsp evaluate --env TASK ...        run a trained policy alone
   napsp list                           tasks, searches, and the models that ship
+  napsp columns                        what the columns of tables and files mean, with their units
+  napsp report ...                     one page of the results in a checkout's results/
 
 Each with --help says what it can do."""
-TRAINING = ("train", "evaluate")
-WORDS = ("plan", "studio", *TRAINING, "list")
 
 
 def main() -> None:
@@ -36,20 +37,36 @@ def run(arguments: list[str]) -> int | None:
         print(USAGE.format(searches=", ".join(_searches())))
         return 0
     word, *rest = arguments
-    if word == "list":
-        print(listing())
-        return 0
-    if word in TRAINING:
-        sys.argv = [f"napsp {word}", *rest]
-        return importlib.import_module(f"napsp.{word}").main()
-    if word == "plan":
-        return _plan(rest)
-    if word == "studio":
-        from planners.app.gl import choose_gl
+    if word not in WORDS:
+        raise UserError(f"there is no napsp {word}; {choose(word, WORDS)}")
+    return WORDS[word](rest)
 
-        choose_gl()  # before anything imports mujoco
-        return importlib.import_module("planners.studio").run(rest)
-    raise UserError(f"there is no napsp {word}{_meant(word, WORDS)}; napsp --help lists what there is")
+
+def _train(arguments: list[str]) -> int | None:
+    sys.argv = ["napsp train", *arguments]
+    return importlib.import_module("napsp.train").main()
+
+
+def _evaluate(arguments: list[str]) -> int | None:
+    sys.argv = ["napsp evaluate", *arguments]
+    return importlib.import_module("napsp.evaluate").main()
+
+
+def _studio(arguments: list[str]) -> int | None:
+    from planners.app.gl import choose_gl
+
+    choose_gl()  # before anything imports mujoco
+    return importlib.import_module("planners.studio").run(arguments)
+
+
+def _list(arguments: list[str]) -> None:
+    print(listing())
+
+
+def _columns(arguments: list[str]) -> None:
+    from planners.app.columns import explained
+
+    print(explained())
 
 
 def _plan(arguments: list[str]) -> int:
@@ -60,10 +77,16 @@ def _plan(arguments: list[str]) -> int:
     if arguments and not arguments[0].startswith("-"):
         search, *arguments = arguments
     if search not in _searches():
-        raise UserError(f"there is no search {search!r}{_meant(search, _searches())}; choose from: "
-                        f"{', '.join(_searches())}")  # fmt: skip
+        raise UserError(f"there is no search {search!r}; {choose(search, _searches())}")
     choose_gl()  # before anything imports mujoco
     return plan(search, arguments)
+
+
+def _report(arguments: list[str]) -> None:
+    if importlib.util.find_spec("benchmarks.report") is None:
+        raise UserError("this version of napsp makes no report; see docs/results.md of a checkout")
+    sys.argv = ["python -m benchmarks.report", *arguments]
+    runpy.run_module("benchmarks.report", run_name="__main__", alter_sys=True)
 
 
 def listing() -> str:
@@ -86,6 +109,12 @@ def _searches() -> list[str]:
     return list(SEARCHES)
 
 
-def _meant(word: str, known: tuple[str, ...] | list[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f", did you mean {close[0]}?" if close else ""
+WORDS: dict[str, Callable[[list[str]], int | None]] = {
+    "plan": _plan,
+    "studio": _studio,
+    "train": _train,
+    "evaluate": _evaluate,
+    "list": _list,
+    "columns": _columns,
+    "report": _report,
+}
