@@ -33,7 +33,7 @@ def rows(path):
 
 
 def test_every_control_step_leaves_a_row(tmp_path):
-    assert run("mppi", [*SMALL, "--episodes", "2", "--out", str(tmp_path)]) == 0
+    assert run("mppi", [*SMALL, "--episodes", "2", "--hold", "0", "--out", str(tmp_path)]) == 0
     steps, episodes = rows(tmp_path / "steps.csv"), rows(tmp_path / "episodes.csv")
     assert [(row["episode"], row["step"]) for row in steps] == [(str(e), str(t)) for e in (1, 2) for t in range(1, 51)]
     assert {"cost", "effective_samples", "plan_ms", "smoothing_ms", "gap"} <= set(steps[0])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from napsp.envs.gap import world_gap
 from napsp.statistics import describe, wilson_interval
@@ -136,7 +137,7 @@ class Report:
             cells["action rate"] = f"{summary['mean_action_rate']:.4f}"
         table = Table(title=f"{summary['planner']} on {summary['env']}, cost {summary['cost']}")
         for column in cells:
-            table.add_column(column, justify="right")
+            table.add_column(Text(column), justify="right")
         table.add_row(*cells.values())
         self._console.print(table)
         self._say(self._about_the_episodes())
