@@ -9,8 +9,8 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import tyro
 
-from mpc.cost import ActionOf, Where
 from mpc.knots import SplineConfig
+from mpc.reading import ActionOf, Where
 from mpc.smoothing.config import SmoothingConfig
 from napsp.envs import canonical_name
 from napsp.envs.cards import CARDS, UNKNOWN, Planning

@@ -165,15 +165,16 @@ class Report:
     def _about_the_pace(self, plan_ms: float, period_ms: float) -> str:
         """Whether a robot would have to wait for plans, and how many samples would do."""
         if plan_ms <= period_ms:
-            return f"pace: plans take {plan_ms:.3g} ms (median), within the control period of {period_ms:.3g} ms"
+            return f"pace: plans take {plan_ms:.1f} ms (median), within the control period of {period_ms:.3g} ms"
         search: Any = self._session.config.search
         enough = int(search.samples * period_ms / plan_ms)
         drawn = "samples" in {field.name for field in fields(search)}
         fits = drawn and enough >= search.least_samples(self._session.config.n_proposals)
-        advice = f"--samples {enough}" if fits else "a shorter --horizon and --model.kind coarse"
+        advice = f"--samples {enough} would about keep pace here"
+        advice = advice if fits else "try --model.kind coarse, a shorter --horizon or fewer --samples on idle cores"
         return (
-            f"pace: plans take {plan_ms:.3g} ms (median), the control period is {period_ms:.3g} ms, and the simulation "
-            f"waited for them; {advice} would about keep pace here"
+            f"pace: plans take {plan_ms:.1f} ms (median), the control period is {period_ms:.3g} ms, and the simulation "
+            f"waited for them; {advice}"
         )
 
     def _say(self, line: str) -> None:
