@@ -42,7 +42,7 @@ from napsp.storage.checkpoint import load_model
 from napsp.storage.record import save_figure
 from napsp.storage.revision import git_revision
 from planners.app.config import PlanConfig
-from planners.app.options import RunOptions
+from planners.app.options import FIRST_SEED, RunOptions
 from planners.app.session import Session
 
 FILE = RESULTS / "policy_vs_mpc.csv"
@@ -81,7 +81,7 @@ class VersusOptions:
     """Also checkpoints of runs that stop after these many training episodes."""
     episodes: int = 50
     """Episodes per cell."""
-    seed: int = 90_000
+    seed: int = FIRST_SEED
     """First episode seed; these seeds were never used for tuning."""
 
 

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import Protocol, get_args
 
 import numpy as np
 import torch
 
+from mpc.reading import ActionOf, Where
 from mpc.rollout import Trajectories
 from napsp.storage.checkpoint import Model
-
-Where = Literal["terminal", "mean", "both"]
-ActionOf = Literal["policy", "plan"]
 
 
 class StepsToGo(Protocol):

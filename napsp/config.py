@@ -21,7 +21,7 @@ from napsp.distance.losses import LOSSES
 from napsp.distance.network import DistanceConfig
 from napsp.envs import canonical_name, episode_length
 from napsp.envs.cards import CARDS, Recipe
-from napsp.errors import UserError
+from napsp.errors import UserError, choose
 from napsp.policy.agent import PolicyConfig
 from napsp.policy.agents import AGENTS
 from napsp.policy.her import HERConfig
@@ -236,7 +236,7 @@ def preset(
     values = dict(CARDS[env].training) if env in CARDS else {}
     chosen = recipes(env).get(recipe)
     if chosen is None:
-        raise UserError(f"there is no recipe {recipe!r} for {env}; choose one of: {', '.join(recipes(env))}")
+        raise UserError(f"there is no recipe {recipe!r} for {env}; {choose(recipe, recipes(env))}")
     values |= chosen.changes
     if method != "sparse":
         values |= chosen.with_distance

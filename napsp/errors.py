@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -41,6 +42,17 @@ def run_command(main: Callable[[], int | None]) -> None:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
     sys.exit(status or 0)
+
+
+def close(word: str, known: Collection[str]) -> str | None:
+    """The known word that is most like this one, if any is."""
+    return next(iter(difflib.get_close_matches(word, list(known), n=1)), None)
+
+
+def choose(word: str, known: Collection[str], rest: str = "") -> str:
+    """The end of a message about a word that is not known: what may have been meant, and what there is."""
+    found = close(word, known)
+    return f"{f'did you mean {found}? ' if found else ''}choose one of: {', '.join(known)}{rest}"
 
 
 def load_module(module: str, asked: str) -> ModuleType:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 
 from napsp import envs as tasks
 from napsp.callable_module import callable_module
+from napsp.command_line import ask
 from napsp.data.outcomes import evaluate
 from napsp.envs.goal_task import make_goal_task
 from napsp.errors import UserError, run_command
@@ -26,7 +26,8 @@ class EvaluateOptions:
     """Run the deterministic policy of a checkpoint."""
 
     env: str = "fetch_wall"
-    """Task."""
+    """Task: point_maze, fetch_reach, fetch_wall, fetch_pick_place, fetch_pick_place_wall, claw, or what --checkpoint
+    was trained on."""
     checkpoint: Path | None = None
     """A file or folder written by napsp.train, or the name of one that ships, such as
     fetch_pick_place_first_arrival; default: the one that ships for the task."""
@@ -40,7 +41,7 @@ class EvaluateOptions:
 
 def main() -> int:
     """Evaluate, print, optionally write JSON."""
-    options = tyro.cli(EvaluateOptions, prog="python -m napsp.evaluate")
+    options = ask(EvaluateOptions, sys.argv[1:], "python -m napsp.evaluate", [f.name for f in fields(EvaluateOptions)])
     if options.episodes < 1 or options.seed < 0:
         raise UserError("--episodes must be at least 1 and --seed at least 0")
     torch.set_num_threads(1)

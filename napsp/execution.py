@@ -11,6 +11,7 @@ from typing import Any, Generic, Literal, TypeVar
 import torch
 from torch import Tensor
 
+from napsp.command_line import Flat
 from napsp.compiled import compiled
 from napsp.errors import UserError
 
@@ -21,12 +22,12 @@ N = TypeVar("N", bound=torch.nn.Module)
 class Execution:
     """Where and how updates run; results differ in rounding alone, so this is no part of what a result is."""
 
-    device: Literal["auto", "cpu", "cuda"] = "cpu"
+    device: Flat[Literal["auto", "cpu", "cuda"]] = "cpu"
     """Where the networks are trained; auto takes CUDA where there is one. With CUDA a phase's samples are moved once
     and every update is replayed as a CUDA graph: on an H100 14 times a core's updates at 2 x 256, batch 256."""
-    compiled: bool = False
+    compiled: Flat[bool] = False
     """Compile the losses and their gradients (torch.compile; needs a C++ compiler, the first time takes a minute)."""
-    threads: int = 1
+    threads: Flat[int] = 1
     """CPU threads; two single-threaded runs finish sooner than one with two threads."""
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from napsp.config import TrainConfig
+from napsp.config import TrainConfig, to_dict
 from napsp.data.collect import Actor, ExplorationConfig, ExploringActor, roll
 from napsp.data.episodes import BLOWN, Episodes, concatenate
 from napsp.data.explorers import Explorers
 from napsp.data.outcomes import evaluate
 from napsp.distance.graph import explained
 from napsp.envs.actions import used_actions
+from napsp.envs.gap import goal_gap
 from napsp.envs.goal_task import is_goal_task, make_goal_task, own_box
 from napsp.errors import UserError
 from napsp.execution import Execution
@@ -37,6 +38,7 @@ from napsp.storage.resume import (
     warmup_episodes,
 )
 from napsp.storage.revision import git_revision
+from napsp.storage.trackers import open_trackers, require
 
 SIZED = ("observations", "actions", "desired_goals")
 EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
@@ -63,8 +65,11 @@ class Run:
     _previous_precision: str = "highest"
 
     @classmethod
-    def open(cls, config: TrainConfig, folder: Path, restart: bool, tensorboard: bool, execution: Execution) -> Run:
-        """Start a run in ``folder`` or continue the one it holds."""
+    def open(
+        cls, config: TrainConfig, folder: Path, restart: bool, trackers: Sequence[str], execution: Execution
+    ) -> Run:
+        """Start a run in ``folder`` or continue the one it holds; ``trackers`` are names of ``TRACKERS``."""
+        require(trackers)
         git_revision()  # now, not when the first checkpoint is written
         envs = [make_goal_task(config.env, config.reached) for _ in range(config.episodes_per_iteration)]
         state = folder / STATE_FILE
@@ -98,7 +103,9 @@ class Run:
             if saved:
                 explorers.restore(explorers_of(saved[0], len(explorers.worlds)))
         folder.mkdir(parents=True, exist_ok=True)
-        progress = Progress(folder, rows, tensorboard, config.method)
+        unit = goal_gap(envs[0].unwrapped, np.zeros(1))[1]
+        seeing = open_trackers(trackers, folder, to_dict(config), bool(rows))
+        progress = Progress(folder, rows, seeing, config.method, unit)
         run = cls(
             config,
             execution,
@@ -165,6 +172,7 @@ class Run:
             "success_rate": result.success_rate,
             "any_success_rate": result.any_success_rate,
             "mean_gap": float(result.gaps[:, -1].mean()),
+            **self._degrees(result.gaps[:, -1]),
             "max_reward": float(-result.gaps.min(1).mean()),  # the paper's: least distance to the goal, negated
         }
         at_goal = result.reached[:, -1]
@@ -173,6 +181,11 @@ class Run:
             distance = self.learner.distance
             row["distance_at_goal"] = float(distance.steps(distance.rows(last, actor(last, goals), goals)).mean())
         return row
+
+    def _degrees(self, gaps: np.ndarray) -> Row:
+        """The gaps ``(E,)`` where goals are angles."""
+        shown, unit = goal_gap(self.envs[0].unwrapped, gaps)
+        return {"mean_degrees": float(shown.mean())} if unit == "deg" else {}
 
     def _blow_ups(self) -> Row:
         """How many of the episodes so far ended because the simulation blew up, if any did; also said."""

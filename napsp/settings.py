@@ -14,7 +14,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from napsp.errors import UserError
+from napsp.errors import UserError, choose
 
 C = TypeVar("C")
 MANY, TINY = 10**9, 1e-12
@@ -40,7 +40,7 @@ def check_choice(config: Any, **choices: tuple[str, ...]) -> None:
     """
     for name, words in choices.items():
         if getattr(config, name) not in words:
-            raise UserError(f"unknown {name} {getattr(config, name)!r}; choose one of: {', '.join(words)}")
+            raise UserError(f"unknown {name} {getattr(config, name)!r}; {choose(str(getattr(config, name)), words)}")
 
 
 def to_dict(config: Any) -> dict[str, Any]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,30 +15,34 @@ import tyro
 
 from napsp import envs as tasks
 from napsp.callable_module import callable_module
+from napsp.command_line import Flat, ask
 from napsp.config import PAPER, PAPER_METHODS, TrainConfig, preset, recipes
 from napsp.errors import run_command
 from napsp.execution import Execution
 from napsp.renamed import FLAGS
 from napsp.run import Run
-from napsp.settings import refuse_old_flags
+from napsp.settings import flat, refuse_old_flags, to_dict
+from napsp.storage.checkpoint import load_model
 from napsp.storage.progress import Row
 from napsp.storage.record import RECORD_FILE
+from napsp.storage.trackers import TRACKERS
 
 
 def train(
     config: TrainConfig,
     folder: Path,
     restart: bool = False,
-    tensorboard: bool = False,
+    trackers: Sequence[str] = (),
     execution: Execution | None = None,
     on_evaluation: Callable[[Row], Any] | None = None,
 ) -> list[Row]:
     """Run Algorithm 1; write ``model.safetensors`` and ``metrics.csv`` into ``folder``.
 
     A folder that holds an unfinished run with the same settings is continued, unless ``restart``. ``on_evaluation`` is
-    handed each new row of ``metrics.csv``, and ends the run, saved, by returning False. Returns all rows.
+    handed each new row of ``metrics.csv``, and ends the run, saved, by returning False. ``trackers`` are names of
+    :data:`napsp.storage.trackers.TRACKERS`. Returns all rows.
     """
-    run = Run.open(config, folder, restart, tensorboard, execution or Execution())
+    run = Run.open(config, folder, restart, trackers, execution or Execution())
     run.on_evaluation = on_evaluation
     learner = run.learner
     try:
@@ -67,12 +72,19 @@ def train(
 class Options:
     """Where a run lives and how it is shown."""
 
-    out: Path | None = None
+    out: Flat[Path | None] = None
     """Folder of the run; default runs/ENV-METHOD-sSEED."""
-    restart: bool = False
+    restart: Flat[bool] = False
     """Overwrite the run in that folder instead of continuing it."""
-    tensorboard: bool = False
+    tensorboard: Flat[bool] = False
     """Write TensorBoard event files as well (needs the tensorboard extra)."""
+    wandb: Flat[bool] = False
+    """Log to Weights & Biases as well (needs the wandb extra); WANDB_MODE=offline keeps it on this machine."""
+
+    @property
+    def trackers(self) -> tuple[str, ...]:
+        """Names of those asked for."""
+        return tuple(name for name in TRACKERS if getattr(self, name))
 
 
 DEFAULT_OPTIONS, DEFAULT_EXECUTION = Options(), Execution()
@@ -94,13 +106,14 @@ def parse(arguments: list[str]) -> tuple[TrainConfig, Options, Execution]:
 
     def all_of(
         config: Annotated[TrainConfig, tyro.conf.arg(name="")] = default,
-        options: Annotated[Options, tyro.conf.arg(name="")] = DEFAULT_OPTIONS,
-        execution: Annotated[Execution, tyro.conf.arg(name="")] = DEFAULT_EXECUTION,
+        output: Options = DEFAULT_OPTIONS,
+        execution: Execution = DEFAULT_EXECUTION,
     ) -> tuple[TrainConfig, Options, Execution]:
         """Train a distance and a policy (Algorithm 1)."""
-        return config, options, execution
+        return config, output, execution
 
-    return tyro.cli(all_of, args=arguments, prog="python -m napsp.train")
+    names = ["episodes", *flat(to_dict(default)), *(f.name for kind in (Options, Execution) for f in fields(kind))]
+    return ask(all_of, arguments, "python -m napsp.train", names)
 
 
 def usual_folder(config: TrainConfig) -> Path:
@@ -117,8 +130,20 @@ def main() -> int:
     if config.recipe == PAPER and others and config.method in PAPER_METHODS:
         print(f"the paper's method alone; what ships for this task was trained with --recipe {' or '.join(others)}")
     torch.set_num_threads(execution.threads)
-    train(config, folder, options.restart, options.tensorboard, execution)
-    return 0 if (folder / RECORD_FILE).is_file() else 130
+    train(config, folder, options.restart, options.trackers, execution)
+    if not (folder / RECORD_FILE).is_file():
+        return 130
+    print(what_next(config, folder))
+    return 0
+
+
+def what_next(config: TrainConfig, folder: Path) -> str:
+    """Where a finished run is, and the command that makes use of it: a planner where d and dynamics are known."""
+    model = load_model(folder)
+    plans = model.distance is not None and model.header.get("action_box") is None
+    command = f"python -m {'planners.mppi' if plans else 'napsp.evaluate'} --env {config.env}"
+    return (f"done: model.safetensors, metrics.csv and training_curve.png are in {folder}\n"
+            f"next: {command} --checkpoint {shlex.quote(str(folder))}")  # fmt: skip
 
 
 callable_module(__name__, "train")

@@ -249,6 +249,6 @@ def test_a_class_of_the_users_own_trains_and_plans(tmp_path):
     plan = ["--episodes", "1", "--samples", "8", "--no-video", "--horizon", "4"]
     assert "distance" in run("planners.mppi", *task, *plan, "--checkpoint", str(checkpoint))
     assert "euclidean" in run("planners.icem", *task, *plan, "--cost", "euclidean")
-    assert list(tmp_path.glob("plans/my_maze-BigMaze-icem-euclidean-s0-*/summary.json"))
+    assert list(tmp_path.glob("plans/my_maze-BigMaze-icem-euclidean-s90000-*/summary.json"))
     run("planners.cem", *task, *plan, "--samples", "12", "--cost", "my_maze:far")
-    assert list(tmp_path.glob("plans/my_maze-BigMaze-cem-my_maze-far-s0-*/summary.json"))
+    assert list(tmp_path.glob("plans/my_maze-BigMaze-cem-my_maze-far-s90000-*/summary.json"))

@@ -39,6 +39,12 @@ def test_a_word_it_does_not_know_is_answered_with_one_it_does(arguments, message
         command.run(arguments)
 
 
+@pytest.mark.parametrize("asked", ["command.run([])", "options.parse('mppi', ['--samples', '8'])"])
+def test_help_and_options_come_without_torch(asked):
+    script = f"import sys; from planners.app import command, options; {asked}; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True).returncode == 0
+
+
 def test_it_does_what_the_modules_do(tmp_path):
     """In processes of their own, as a user has them."""
     call = [sys.executable, "-c", "from planners.app.command import main; main()"]

@@ -48,7 +48,7 @@ def test_main_job(tmp_path):
     assert summary["env"] == "fetch_wall" and summary["episodes"] == 1 and summary["success_rate"] == 1.0
     with open(tmp_path / "out" / "episodes.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 1 and rows[0]["seed"] == "0"
+    assert len(rows) == 1 and rows[0]["seed"] == "90000"
     assert (tmp_path / "out" / "distance_to_go.png").read_bytes()[:4] == b"\x89PNG"
     video = tmp_path / "out" / "video.mp4"
     assert video.is_file() or "no video" in result.stdout

@@ -102,7 +102,7 @@ def test_explorers_give_up_where_no_graph_comes_of_it():
 def test_a_task_whose_goal_does_not_obey_actions_has_neither_graph_nor_explorers(tmp_path, capsys):
     for env, has in (("fetch_wall", True), ("claw", False)):
         config = tiny(env, "plus")
-        run = Run.open(config, tmp_path / env, False, False, Execution())
+        run = Run.open(config, tmp_path / env, False, (), Execution())
         run.close()
         assert (run.learner.graph is not None) is has and (run.explorers is not None) is has
         assert ("neither graph nor explorers" in capsys.readouterr().out) is not has

@@ -105,7 +105,7 @@ def test_other_plans_have_another_folder():
         return str(default_folder(*parse(planner, list(arguments))))
 
     usual = folder("mppi")
-    assert usual == "plans/fetch_wall-mppi-distance-s0"
+    assert usual == "plans/fetch_wall-mppi-distance-s90000"
     assert folder("mppi", "--episodes", "3", "--no-video", "--threads", "1", "--horizon", "5") == usual
     assert folder("mppi", "--env", "point_maze", "--cost", "sparse", "--seed", "7") == "plans/point_maze-mppi-sparse-s7"
     others = [["--samples", "32"], ["--search.temperature", "0.1"], ["--smooth"], ["--checkpoint", "a"],
@@ -113,8 +113,10 @@ def test_other_plans_have_another_folder():
               ["--goal", "1", "1", "1"]]  # fmt: skip
     names = [folder("mppi", *other) for other in others]
     assert len({usual, *names}) == 1 + len(others) and all(name.startswith(usual + "-") for name in names)
-    assert folder("smooth") == "plans/fetch_wall-smooth-distance-s0"
-    assert folder("smooth", "--no-smooth", "--cost", "euclidean").startswith("plans/fetch_wall-smooth-euclidean-s0-")
+    assert folder("smooth") == "plans/fetch_wall-smooth-distance-s90000"
+    assert folder("smooth", "--no-smooth", "--cost", "euclidean").startswith(
+        "plans/fetch_wall-smooth-euclidean-s90000-"
+    )
 
 
 @dataclass(frozen=True)

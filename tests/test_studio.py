@@ -222,7 +222,8 @@ def test_checkpoints_of_a_task_are_its_own(tmp_path, monkeypatch):
     ("arguments", "sentence"),
     [
         (["--episodes", "3"], "--episodes means nothing to the studio"),
-        (["--planner", "mpi"], "choose from: mppi"),
+        (["--planner", "mpi"], "did you mean mppi"),
+        (["--prot", "9000"], "there is no option --prot; did you mean --port"),
         (["--port", "0"], "port is 0"),
         (["--samples", "1"], "--samples is 1"),
     ],

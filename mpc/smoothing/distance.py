@@ -7,7 +7,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from mpc.cost import ActionOf
+from mpc.reading import ActionOf
 from mpc.smoothing.network import CASADI, NUMPY, InputMap, Library, Network
 from napsp.storage.checkpoint import Model
 

@@ -19,7 +19,7 @@ import gymnasium  # noqa: E402
 
 from napsp.envs.cards import CARDS  # noqa: E402
 from napsp.envs.wrappers import unwrapped  # noqa: E402
-from napsp.errors import UserError, load_module, load_object  # noqa: E402
+from napsp.errors import UserError, choose, close, load_module, load_object  # noqa: E402
 
 DEFAULT_EPISODE_LENGTH = 50  # of a class given as module:Class that names none
 NAMES = {name: task for task, card in CARDS.items() for name in (card.gym_id, *card.aliases)}
@@ -47,11 +47,11 @@ def canonical_name(name: str) -> str:
         gymnasium.register_envs(gymnasium_robotics)
     if name in gymnasium.registry:
         return name
-    known = ", ".join([*CARDS, *(alias for card in CARDS.values() for alias in card.aliases)])
-    raise UserError(
-        f"unknown environment {name!r}; choose one of: {known}, a registered Gymnasium id, package:Id where "
-        "a package registers it, or your own module:Class"
-    )
+    known = [*CARDS, *(alias for card in CARDS.values() for alias in card.aliases)]
+    others = ", a registered Gymnasium id, package:Id where a package registers it, or your own module:Class"
+    meant = close(name, known)
+    hint = f"did you mean {meant}? napsp list shows what ships" if meant else choose(name, known, others)
+    raise UserError(f"unknown environment {name!r}; {hint}")
 
 
 def _registered(name: str) -> str | None:

@@ -61,6 +61,8 @@ class ClawEnv(OpenLoopEnv):
     camera = "front"
     # Chord per control step, mean of planned turns with regrasping; a push alone makes up to 0.6.
     step_length = 0.23
+    goal_circle = float(MARKER[0])
+    """Radius of the circle that goals lie on in the world, metres."""
 
     def __init__(self, render_mode: str | None = None) -> None:
         self.model_spec = spec = mujoco.MjSpec.from_file(str(MODEL_FILE))

@@ -15,7 +15,7 @@ from napsp.distance.counts import KeyCounts, SimHash, VisitCounts
 from napsp.distance.network import DistanceNetwork
 from napsp.envs import canonical_name
 from napsp.envs.goal_task import own_box
-from napsp.errors import UserError
+from napsp.errors import UserError, close
 from napsp.policy.actors import DeterministicPolicy, GaussianPolicy, Policy
 from napsp.storage.files import FORMAT, OLDER, read_tensors, write_tensors
 from napsp.storage.older import todays
@@ -108,6 +108,10 @@ def load_model(path: str | Path, env: str | None = None) -> Model:
     path = Path(path)
     if not path.exists() and (SHIPPED / path.name / MODEL_FILE).is_file() and path == Path(path.name):
         path = SHIPPED / path.name
+    elif not path.exists() and path == Path(path.name):
+        meant = close(path.name, [folder.name for folder in SHIPPED.iterdir()])
+        if meant:
+            raise UserError(f"no checkpoint at {path}, and none of that name ships; did you mean {meant}?")
     if path.is_dir():
         path = path / MODEL_FILE
     tensors, header = read_tensors(path, "model")

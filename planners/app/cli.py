@@ -25,14 +25,17 @@ def run(planner: str, arguments: list[str]) -> int:
     config, options = parse(planner, arguments)
     if options.render == "human":
         require_display()
+    print(f"{config.env}: loading torch, MuJoCo and what was learned", flush=True)
 
     import torch
 
+    from napsp.envs import episode_length
     from planners.app.distance_field import DistanceField
     from planners.app.folder import claim, release
     from planners.app.record import default_folder, describe_session
     from planners.app.report import Report
     from planners.app.session import Session
+    from planners.app.ticker import Ticker
     from planners.app.video import Video
 
     torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
@@ -41,6 +44,7 @@ def run(planner: str, arguments: list[str]) -> int:
     replaces = claim(folder, describe_session(session))
     report = Report(folder, session)
     report.announce(replaces)
+    ticker = Ticker(options.episodes, episode_length(session.env_name))
     video = Video(folder / "video.mp4", session.env.unwrapped) if options.video and options.render == "none" else None
     field = DistanceField(session) if DistanceField.drawable(session) else None
     with warnings.catch_warnings():
@@ -48,12 +52,15 @@ def run(planner: str, arguments: list[str]) -> int:
         try:
             for episode in range(options.episodes):
                 watching = (video if episode < options.video_episodes else None, field if episode == 0 else None)
-                result = session.run_episode(options.seed + episode, [w for w in watching if w is not None])
+                seen_by = [ticker, *(w for w in watching if w is not None)]
+                result = session.run_episode(options.seed + episode, seen_by, hold=options.hold or None)
+                ticker.end_episode()
                 report.add(result)
                 if field is not None and episode == 0:
                     field.draw(folder / "distance_field.png", result)
                     report.note(f"distance field of the first episode: {folder}/distance_field.png")
         except BaseException as error:
+            ticker.clear()
             if not isinstance(error, KeyboardInterrupt) or not report.results:
                 if video is not None:
                     video.abandon()

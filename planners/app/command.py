@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import sys
+from collections.abc import Callable
 
-from napsp.errors import UserError, run_command
+from napsp.errors import UserError, choose, run_command
 
 USAGE = """napsp: planning with learned distances
 
@@ -14,12 +14,11 @@ USAGE = """napsp: planning with learned distances
   napsp studio --env TASK ...          the same live, in the browser
   napsp train --env TASK ...           train a distance and a policy
   napsp evaluate --env TASK ...        run a trained policy alone
-  napsp report                         all results of a clone as one page (results/report.html)
   napsp list                           tasks, searches, and the models that ship
+  napsp columns                        what the columns of tables and files mean, with their units
+  napsp report                         all results of a clone as one page (results/report.html)
 
 Each with --help says what it can do."""
-TRAINING = ("train", "evaluate")
-WORDS = ("plan", "studio", *TRAINING, "report", "list")
 
 
 def main() -> None:
@@ -37,23 +36,36 @@ def run(arguments: list[str]) -> int | None:
         print(USAGE.format(searches=", ".join(_searches())))
         return 0
     word, *rest = arguments
-    if word == "list":
-        print(listing())
-        return 0
-    if word in TRAINING:
-        sys.argv = [f"napsp {word}", *rest]
-        return importlib.import_module(f"napsp.{word}").main()
-    if word == "report":
-        sys.argv = ["napsp report", *rest]
-        return importlib.import_module("benchmarks.report.__main__").main()  # by name: nothing here needs benchmarks
-    if word == "plan":
-        return _plan(rest)
-    if word == "studio":
-        from planners.app.gl import choose_gl
+    if word not in WORDS:
+        raise UserError(f"there is no napsp {word}; {choose(word, WORDS)}")
+    return WORDS[word](rest)
 
-        choose_gl()  # before anything imports mujoco
-        return importlib.import_module("planners.studio").run(rest)
-    raise UserError(f"there is no napsp {word}{_meant(word, WORDS)}; napsp --help lists what there is")
+
+def _train(arguments: list[str]) -> int | None:
+    sys.argv = ["napsp train", *arguments]
+    return importlib.import_module("napsp.train").main()
+
+
+def _evaluate(arguments: list[str]) -> int | None:
+    sys.argv = ["napsp evaluate", *arguments]
+    return importlib.import_module("napsp.evaluate").main()
+
+
+def _studio(arguments: list[str]) -> int | None:
+    from planners.app.gl import choose_gl
+
+    choose_gl()  # before anything imports mujoco
+    return importlib.import_module("planners.studio").run(arguments)
+
+
+def _list(arguments: list[str]) -> None:
+    print(listing())
+
+
+def _columns(arguments: list[str]) -> None:
+    from planners.app.columns import explained
+
+    print(explained())
 
 
 def _plan(arguments: list[str]) -> int:
@@ -64,10 +76,14 @@ def _plan(arguments: list[str]) -> int:
     if arguments and not arguments[0].startswith("-"):
         search, *arguments = arguments
     if search not in _searches():
-        raise UserError(f"there is no search {search!r}{_meant(search, _searches())}; choose from: "
-                        f"{', '.join(_searches())}")  # fmt: skip
+        raise UserError(f"there is no search {search!r}; {choose(search, _searches())}")
     choose_gl()  # before anything imports mujoco
     return plan(search, arguments)
+
+
+def _report(arguments: list[str]) -> int | None:
+    sys.argv = ["napsp report", *arguments]
+    return importlib.import_module("benchmarks.report.__main__").main()  # by name: nothing here needs benchmarks
 
 
 def listing() -> str:
@@ -90,6 +106,12 @@ def _searches() -> list[str]:
     return list(SEARCHES)
 
 
-def _meant(word: str, known: tuple[str, ...] | list[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f", did you mean {close[0]}?" if close else ""
+WORDS: dict[str, Callable[[list[str]], int | None]] = {
+    "plan": _plan,
+    "studio": _studio,
+    "train": _train,
+    "evaluate": _evaluate,
+    "list": _list,
+    "columns": _columns,
+    "report": _report,
+}

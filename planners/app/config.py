@@ -9,12 +9,12 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import tyro
 
-from mpc.cost import ActionOf, Where
 from mpc.knots import SplineConfig
+from mpc.reading import ActionOf, Where
 from mpc.smoothing.config import SmoothingConfig
 from napsp.envs import canonical_name
 from napsp.envs.cards import CARDS, UNKNOWN, Planning
-from napsp.errors import UserError
+from napsp.errors import UserError, choose
 from napsp.settings import MANY, changed, check_ranges, differences
 from planners.app.searches import SEARCHES
 
@@ -151,7 +151,7 @@ class PlanConfig(Generic[S]):
 
     def __post_init__(self) -> None:
         if self.cost not in COSTS and ":" not in self.cost:
-            raise UserError(f"unknown cost {self.cost!r}; choose one of: {', '.join(COSTS)}, or module:function")
+            raise UserError(f"unknown cost {self.cost!r}; {choose(self.cost, COSTS, ', or module:function')}")
         check_ranges(self, horizon=(1, MANY), low_pass=(0, 0.999))
         search: Any = self.search
         least = search.least_samples(self.n_proposals)

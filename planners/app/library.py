@@ -13,7 +13,7 @@ from mpc.controller import Controller, Plan
 from mpc.cost import GivenSteps
 from napsp import envs as tasks
 from napsp.envs.wrappers import LOOKERS, STANDARD
-from napsp.errors import UserError
+from napsp.errors import UserError, choose
 from napsp.library import Distance
 from planners.app.build import build_controller
 from planners.app.config import PlanConfig
@@ -90,7 +90,7 @@ def controller(
         UserError: an option is unknown or out of its range, or the environment or cost can not be planned with.
     """
     if search not in SEARCHES:
-        raise UserError(f"there is no search {search!r}; choose one of: {', '.join(SEARCHES)}")
+        raise UserError(f"there is no search {search!r}; {choose(search, SEARCHES)}")
     world: Any = env.unwrapped
     missing = [member for member in tasks.REQUIRED if not hasattr(world, member)]
     if missing:

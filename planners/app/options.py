@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal
@@ -10,6 +11,7 @@ from typing import Annotated, Any, Generic, Literal
 import tyro
 
 from mpc.smoothing.config import SmoothingConfig
+from napsp.command_line import Flat, ask
 from napsp.errors import UserError
 from napsp.settings import MANY, check_ranges, refuse_old_flags
 from planners.app.config import PlanConfig, S
@@ -28,34 +30,42 @@ RENAMED = {
 """What options were called before they had groups, beside those of the search (``--temperature``) and of smoothing
 (``--smooth-rate``), whose names tell."""
 
+FIRST_SEED = 90_000
+"""Of the episodes that benchmarks.policy_vs_mpc measures on; its seeds were never used for tuning."""
+
 
 @dataclass(frozen=True)
 class RunOptions:
     """The circumstances of a run: they choose what is planned and shown, not how plans are made."""
 
-    episodes: int = 10
-    """Episodes to run, on the seeds seed, seed + 1, ..."""
-    seed: int = 0
-    """Seed of tasks and of planning."""
-    checkpoint: Path | None = None
+    episodes: Flat[int] = 5
+    """Episodes to run, on the seeds seed, seed + 1, ..., whatever comes of them."""
+    seed: Flat[int] = FIRST_SEED
+    """Seed of the first episode, its task and its planning. The default episodes are the first of the 50 that the
+    published results of planners are measured on, so that they can be compared."""
+    hold: Flat[int] = 10
+    """End an episode once the goal has been held for so many control steps in succession; 0 plans it to its time limit,
+    as the published results do."""
+    checkpoint: Flat[Path | None] = None
     """A file or folder written by napsp.train, or the name of one that ships, such as
     fetch_pick_place_first_arrival; default: the one that ships for the task.
     A cost that needs no distance needs no checkpoint."""
-    out: Path | None = None
+    out: Flat[Path | None] = None
     """Folder of the results; default plans/ENV-PLANNER-COST-sSEED, and a few digits more with options that
     make other plans or with another checkpoint."""
-    video: bool = True
+    video: Flat[bool] = True
     """Render the first episodes with the goal and the sampled plans."""
-    video_episodes: int = 2
+    video_episodes: Flat[int] = 2
     """How many episodes the video shows."""
-    render: Literal["none", "human"] = "none"
+    render: Flat[Literal["none", "human"]] = "none"
     """human: watch the episodes in Gymnasium's viewer as they run. It needs a display, and no video is made then:
     off-screen frames and the window would compete for OpenGL."""
-    threads: int | None = None
+    threads: Flat[int | None] = None
     """Simulations at once, in threads or processes; default all cores. Plans do not depend on it."""
 
     def __post_init__(self) -> None:
         check_ranges(self, episodes=(1, MANY), threads=(1, MANY), seed=(0, 2**31 - 1), video_episodes=(0, MANY))
+        check_ranges(self, hold=(0, MANY))
 
 
 @dataclass(frozen=True)
@@ -63,15 +73,17 @@ class Command(Generic[S]):
     """Plan with MuJoCo rollouts, step after step, and report how it went."""
 
     plan: Annotated[PlanConfig[S], tyro.conf.arg(name="")]
-    run: Annotated[RunOptions, tyro.conf.arg(name="")]
+    run: RunOptions
     smooth: bool = False
     """Smooth every plan with CasADi, the learned distance as cost; a smoother plan is executed only if
     rolling it out shows that the planner's own cost did not rise."""
     smoothing: Annotated[SmoothingConfig, tyro.conf.arg(name="smooth")] = field(default_factory=SmoothingConfig)
 
 
-def parse(planner: str, arguments: list[str]) -> tuple[PlanConfig[Any], RunOptions]:
+def parse(planner: str, arguments: list[str], others: Sequence[str] = ()) -> tuple[PlanConfig[Any], RunOptions]:
     """The configuration and the circumstances that a command line asks for.
+
+    ``others`` are options that the command has beside these, and may have been meant by one that is unknown.
 
     Raises:
         UserError: an option has another name now, or a value is out of its range or does not fit the others.
@@ -89,10 +101,9 @@ def parse(planner: str, arguments: list[str]) -> tuple[PlanConfig[Any], RunOptio
     )
     names = _names(default)
     refuse_old_flags(arguments, old_names(names))
+    prog = f"python -m planners.{planner}"
     try:
-        asked: Command[Any] = tyro.cli(
-            Command[shown], args=arguments, default=default, prog=f"python -m planners.{planner}"
-        )
+        asked: Command[Any] = ask(Command[shown], arguments, prog, [*names, *others], default=default)
         own = {f.name: getattr(asked.plan.search, f.name) for f in dataclasses.fields(kind)}
         smooth = asked.smoothing if asked.smooth else None
         return replace(asked.plan, search=kind(**own), smooth=smooth), asked.run

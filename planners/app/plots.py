@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from napsp.envs.gap import world_gap
 from napsp.storage.record import save_figure
 from planners.app.episode import EpisodeResult
 from planners.app.session import Session
@@ -18,14 +19,16 @@ def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResul
     """Draw the cost's steps to go and the straight-line gap over the steps of each episode."""
     plt = _pyplot()
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
+    world = session.env.unwrapped
+    radius, unit = world_gap(world, np.array(world.goal_radius))
     for result in results:
         color = "tab:blue" if result.success else "tab:red"
         steps = np.arange(1, len(result.steps) + 1)
         left.plot(steps, result.column("steps_to_go"), color=color, alpha=0.5, linewidth=1)
-        right.plot(steps, result.column("gap"), color=color, alpha=0.5, linewidth=1)
+        right.plot(steps, world_gap(world, result.column("gap"))[0], color=color, alpha=0.5, linewidth=1)
     left.set(xlabel="control step", ylabel="steps to go", title=f"cost: {session.config.cost}")
-    right.set(xlabel="control step", ylabel="gap to the goal [m]", title="blue: success, red: failure")
-    right.axhline(session.env.unwrapped.goal_radius, color="black", linestyle=":", linewidth=1)
+    right.set(xlabel="control step", ylabel=f"gap to the goal [{unit}]", title="blue: success, red: failure")
+    right.axhline(float(radius), color="black", linestyle=":", linewidth=1)
     for axis in (left, right):
         axis.set_ylim(bottom=0)
     figure.suptitle(f"{session.env_name}, {session.config.planner}, {len(results)} episodes")

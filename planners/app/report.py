@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from napsp.envs.gap import world_gap
 from napsp.statistics import describe, wilson_interval
 from napsp.storage.files import write_atomically, write_json
 from planners.app.episode import COLUMNS, EpisodeResult
@@ -64,9 +67,10 @@ class Report:
         n, total = len(self.results), self._session.run.episodes
         hit = f"first hit after {result.first_hit:3d} steps" if result.first_hit else "never at the goal      "
         left = np.mean([r.seconds for r in self.results]) * (total - n)
+        gap, unit = world_gap(self._session.env.unwrapped, np.array(result.final_gap))
         self._console.print(
             f"  episode {n:3d}/{total}  {'success' if result.success else 'FAILURE'}  {hit}  "
-            f"final gap {100 * result.final_gap:5.1f} cm  {np.median(result.plan_ms):6.1f} ms/plan  {left:4.0f} s left",
+            f"final gap {gap:5.1f} {unit}  {np.median(result.plan_ms):6.1f} ms/plan  {left:4.0f} s left",
             highlight=False,
         )
 
@@ -120,24 +124,23 @@ class Report:
         return text.getvalue()
 
     def _print(self, summary: dict[str, Any]) -> None:
+        steps, gaps = summary["mean_steps_to_goal"], np.array([result.final_gap for result in self.results])
+        shown, unit = world_gap(self._session.env.unwrapped, gaps)
+        cells = {
+            "success": describe(summary["success_rate"], summary["success_interval_95"]),
+            "at goal in some step": describe(summary["any_success_rate"], summary["any_success_interval_95"]),
+            "steps to goal": "-" if steps is None else f"{steps:.1f}",
+            f"final gap [{unit}]": f"{shown.mean():.1f}",
+            "ms per plan": f"{summary['plan_ms_median']:.0f} of {summary['control_period_ms']:.3g}",
+        }
+        if self._session.config.smooth or self._session.config.low_pass:
+            cells["action rate"] = f"{summary['mean_action_rate']:.4f}"
         table = Table(title=f"{summary['planner']} on {summary['env']}, cost {summary['cost']}")
-        for column in (
-            "success",
-            "at goal in some step",
-            "steps to goal",
-            "action rate",
-            "ms per plan",
-        ):
-            table.add_column(column, justify="right")
-        steps = summary["mean_steps_to_goal"]
-        table.add_row(
-            describe(summary["success_rate"], summary["success_interval_95"]),
-            describe(summary["any_success_rate"], summary["any_success_interval_95"]),
-            "-" if steps is None else f"{steps:.1f}",
-            f"{summary['mean_action_rate']:.4f}",
-            f"{summary['plan_ms_median']:.1f}",
-        )
+        for column in cells:
+            table.add_column(Text(column), justify="right")
+        table.add_row(*cells.values())
         self._console.print(table)
+        self._say(self._about_the_episodes())
         smoothing = summary["smoothing"]
         if smoothing is not None:
             self._console.print(
@@ -148,17 +151,31 @@ class Report:
                 f"verify {smoothing['verify_ms']:.1f}; built once in {smoothing['build_ms']:.1f}",
                 highlight=False,
             )
-        if not summary["keeps_control_rate"]:
-            self._console.print(
-                f"warning: a plan call takes {summary['plan_ms_median']:.3g} ms (median), more than the control period "
-                f"of {summary['control_period_ms']:.3g} ms: the simulation waited for the planner, a robot would not; "
-                "use fewer --samples, a shorter --horizon or more --threads",
-                highlight=False,
-                soft_wrap=True,
-            )
+        self._say(self._about_the_pace(summary["plan_ms_median"], summary["control_period_ms"]))
         for line in self._notes:
-            self._console.print(line, highlight=False)
-        self._console.print(
-            f"results: {self._folder}/summary.json, episodes.csv, steps.csv, steps.png, distance_to_go.png",
-            highlight=False,
+            self._say(line)
+        self._say(f"results: {self._folder}/summary.json, episodes.csv, steps.csv, steps.png, distance_to_go.png")
+
+    def _about_the_episodes(self) -> str:
+        run, n = self._session.run, len(self.results)
+        seeds = f"seeds {run.seed} to {run.seed + n - 1}" if n > 1 else f"seed {run.seed}"
+        ends = f", which ends an episode once it lasts {run.hold} steps" if run.hold else ""
+        return f"{seeds}; success is being at the goal at the end{ends}; napsp columns explains the others"
+
+    def _about_the_pace(self, plan_ms: float, period_ms: float) -> str:
+        """Whether a robot would have to wait for plans, and how many samples would do."""
+        if plan_ms <= period_ms:
+            return f"pace: plans take {plan_ms:.1f} ms (median), within the control period of {period_ms:.3g} ms"
+        search: Any = self._session.config.search
+        enough = int(search.samples * period_ms / plan_ms)
+        drawn = "samples" in {field.name for field in fields(search)}
+        fits = drawn and enough >= search.least_samples(self._session.config.n_proposals)
+        advice = f"--samples {enough} would about keep pace here"
+        advice = advice if fits else "try --model.kind coarse, a shorter --horizon or fewer --samples on idle cores"
+        return (
+            f"pace: plans take {plan_ms:.1f} ms (median), the control period is {period_ms:.3g} ms, and the simulation "
+            f"waited for them; {advice}"
         )
+
+    def _say(self, line: str) -> None:
+        self._console.print(line, highlight=False, soft_wrap=True)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from mpc.controller import Planner
 from mpc.smoothing.config import SmoothingConfig
 from planners.cem import CEM, CEMConfig
 from planners.icem import ICEM, ICEMConfig
 from planners.mppi import MPPI, MPPIConfig
 from planners.predictive_sampling import PredictiveSampling, PredictiveSamplingConfig
 from planners.smooth import Held, HeldConfig
+
+if TYPE_CHECKING:  # names of searches are asked for before torch is
+    from mpc.controller import Planner
 
 
 class SearchConfig(Protocol):

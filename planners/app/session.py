@@ -95,9 +95,15 @@ class Session:
         return self.env.unwrapped.dynamics.substeps, self.controller.engine.dynamics.substeps
 
     def run_episode(
-        self, seed: int, watchers: Sequence[Watcher] = (), options: dict[str, Any] | None = None
+        self,
+        seed: int,
+        watchers: Sequence[Watcher] = (),
+        options: dict[str, Any] | None = None,
+        hold: int | None = None,
     ) -> EpisodeResult:
         """Plan one episode; it goes on after the goal is reached, to see whether it holds, unless the task ends it.
+
+        With ``hold`` it ends once the goal was held for so many control steps in succession.
 
         An episode in which the environment blows up ends there, is no success, and is warned of.
 
@@ -111,7 +117,7 @@ class Session:
         observation = self.begin(seed, options)
         world = self.env.unwrapped
         goal = observation["desired_goal"]
-        first_hit, success = None, False
+        first_hit, success, held = None, False, 0
         steps: list[Step] = []
         actions: list[np.ndarray] = []
         achieved_goals, positions = [observation["achieved_goal"]], [self._effector(observation)]
@@ -134,10 +140,11 @@ class Session:
                 raise UserError(f"{self.env_name} does not keep to --goal; let step observe the attribute goal")
             success = bool(world.reached(observation["achieved_goal"], observation["desired_goal"]))
             first_hit = step + 1 if success and first_hit is None else first_hit
+            held = held + 1 if success else 0
             steps.append(self.record(observation, plan, cost))
             achieved_goals.append(observation["achieved_goal"])
             positions.append(self._effector(observation))
-            if terminated or truncated:
+            if terminated or truncated or held == hold:
                 break
         seconds = time.monotonic() - started
         return EpisodeResult(

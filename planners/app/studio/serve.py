@@ -7,12 +7,11 @@ import io
 import signal
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
-import tyro
-
-from napsp.errors import UserError
+from napsp.command_line import ask_in_part
+from napsp.errors import UserError, choose
 from napsp.settings import check_ranges
 from planners.app.options import parse
 from planners.app.searches import SEARCHES
@@ -21,7 +20,7 @@ from planners.app.studio.live import Live
 
 FRAMES_PER_SECOND = 30.0
 LINGER = 5.0  # seconds without a page, after there was one, before the studio ends: reloading takes less
-NO_MEANING = ("--episodes", "--out", "--video", "--no-video", "--video-episodes", "--render")
+NO_MEANING = ("--episodes", "--hold", "--out", "--video", "--no-video", "--video-episodes", "--render")
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class StudioOptions:
     def __post_init__(self) -> None:
         check_ranges(self, port=(1, 65535))
         if self.planner not in SEARCHES:
-            raise UserError(f"there is no search {self.planner!r}; choose from: {', '.join(SEARCHES)}")
+            raise UserError(f"there is no search {self.planner!r}; {choose(self.planner, SEARCHES)}")
 
 
 def read(arguments: list[str]) -> tuple[StudioOptions, Choices]:
@@ -58,11 +57,12 @@ def read(arguments: list[str]) -> tuple[StudioOptions, Choices]:
     Raises:
         UserError: an option is impossible, or means nothing here.
     """
-    options, rest = tyro.cli(StudioOptions, args=arguments, prog="python -m planners.studio", return_unknown_args=True)
+    options, rest = ask_in_part(StudioOptions, arguments, "python -m planners.studio")
     for argument in rest:
         if argument.partition("=")[0].replace("_", "-") in NO_MEANING:
             raise UserError(f"{argument} means nothing to the studio; leave it out")
-    return options, Choices(*parse(options.planner, rest))
+    own = [option.name for option in fields(StudioOptions)]
+    return options, Choices(*parse(options.planner, rest, own))
 
 
 def run(arguments: list[str]) -> int:
