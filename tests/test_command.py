@@ -32,7 +32,7 @@ def test_the_list_has_every_model_once_beside_its_task(capsys):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(["trian"], "did you mean train"), (["plan", "mpi"], "did you mean mppi"), (["xyzzy"], "napsp --help lists")],
+    [(["trian"], "did you mean train"), (["plan", "mpi"], "did you mean mppi"), (["xyzzy"], "choose one of: plan")],
 )
 def test_a_word_it_does_not_know_is_answered_with_one_it_does(arguments, message):
     with pytest.raises(UserError, match=message):

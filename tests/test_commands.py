@@ -103,7 +103,19 @@ def test_options_run(options, tmp_path):
 
 @pytest.mark.parametrize("planner", ["mppi", "cem", "icem", "predictive_sampling", "smooth"])
 def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
-    arguments = ["--env", "point_maze", "--episodes", "1", "--horizon", "6", "--no-video", "--out", str(tmp_path)]
+    arguments = [
+        "--env",
+        "point_maze",
+        "--episodes",
+        "1",
+        "--horizon",
+        "6",
+        "--hold",
+        "0",
+        "--no-video",
+        "--out",
+        str(tmp_path),
+    ]
     assert run(planner, [*arguments, *([] if planner == "smooth" else ["--smooth"])]) == 0
     assert "plans accepted" in " ".join(capsys.readouterr().out.split())
     summary = json.loads((tmp_path / "summary.json").read_text())

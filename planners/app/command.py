@@ -26,7 +26,7 @@ def main() -> None:
     run_command(lambda: run(sys.argv[1:]))
 
 
-def run(arguments: list[str]) -> int | None:
+def run(arguments: list[str]) -> int:
     """Do what the first word says with the rest.
 
     Raises:
@@ -38,7 +38,7 @@ def run(arguments: list[str]) -> int | None:
     word, *rest = arguments
     if word not in WORDS:
         raise UserError(f"there is no napsp {word}; {choose(word, WORDS)}")
-    return WORDS[word](rest)
+    return WORDS[word](rest) or 0
 
 
 def _train(arguments: list[str]) -> int | None:
