@@ -185,6 +185,11 @@ class ThinFetch(ABC):
         self.initial_qpos = np.copy(self.data.qpos)
         self.initial_qvel = np.copy(self.data.qvel)
 
+    def _env_setup(self, initial_qpos: dict) -> None:
+        for name, value in initial_qpos.items():
+            self.data.joint(name).qpos = value
+        super()._env_setup({})  # type: ignore[misc]
+
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Advance one control step (0.04 s); same result as Fetch's own step, less Python."""
         if np.shape(action) != self.action_space.shape:
