@@ -185,7 +185,7 @@ class ThinFetch(ABC):
         self.initial_qpos = np.copy(self.data.qpos)
         self.initial_qvel = np.copy(self.data.qvel)
 
-    def _env_setup(self, initial_qpos: dict) -> None:
+    def _env_setup(self, initial_qpos: Any) -> None:  # numbers by the names of their joints
         for name, value in initial_qpos.items():
             self.data.joint(name).qpos = value
         super()._env_setup({})  # type: ignore[misc]
