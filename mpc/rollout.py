@@ -10,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import warnings
+import weakref
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -92,12 +93,13 @@ class RolloutEngine:
     ) -> None:
         self.dynamics, self._source = dynamics, source
         self.n_threads = n_threads or available_cores()
-        self._fork = fork and not multiprocessing.current_process().daemon  # daemons may not have children
+        self._fork = fork
         self._threads: ThreadWorkers | None = None
         self._helpers: ForkedWorkers | None = None
         self._helper_seconds = 0.0
         self._native: NativeRollout | None = None
         self._bind()
+        _ENGINES.add(self)
 
     def _bind(self) -> None:
         self._model = self.dynamics.model
@@ -112,8 +114,8 @@ class RolloutEngine:
 
     @property
     def forks(self) -> bool:
-        """Whether helper processes may simulate; no longer, once they got stuck."""
-        return self._fork
+        """Whether helper processes may simulate: not in daemons, which may have none, and not once they got stuck."""
+        return self._fork and not multiprocessing.current_process().daemon
 
     def reset(self) -> None:
         """Let helper processes see what has changed in the dynamics, as a new episode may bring."""
@@ -124,6 +126,11 @@ class RolloutEngine:
         self.dynamics = dynamics
         self._end_helpers()
         self._bind()
+
+    def leave_to_parent(self) -> None:
+        """In a fork of this process: forget helpers and threads, which are the parent's and do not run here."""
+        _OF_PARENT.extend((self._threads, self._native, self._helpers))  # to end them would wait for what is not here
+        self._threads = self._native = self._helpers = None
 
     def update(self) -> None:
         """Take over what the task has changed: other dynamics, another model or numbers in it. Rollouts begin so."""
@@ -199,7 +206,7 @@ class RolloutEngine:
         if self.n_threads == 1 or len(samples) < 2:
             self.path = "one thread"
             self._run_samples(0, state, samples, controls, features, diverged)
-        elif not self._fork:
+        elif not self.forks:
             self.path = f"{self.n_threads} threads"
             self._threads = self._threads or ThreadWorkers(self._run_samples, self.n_threads)
             self._threads.run(state, samples, controls, features, diverged)
@@ -275,3 +282,16 @@ class RolloutEngine:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+_ENGINES: weakref.WeakSet[RolloutEngine] = weakref.WeakSet()
+_OF_PARENT: list[object] = []
+
+
+def _leave_all_to_parent() -> None:
+    for engine in _ENGINES:
+        engine.leave_to_parent()
+
+
+if CAN_FORK:
+    os.register_at_fork(after_in_child=_leave_all_to_parent)

@@ -17,6 +17,7 @@ import threading
 import time
 import traceback
 import warnings
+import weakref
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from multiprocessing.connection import Connection
@@ -45,7 +46,8 @@ class ForkedWorkers:
 
     A helper is a copy of this process as it is now, so ``job`` may be bound to anything, and
     what changes here later is not seen there. A fork loses the threads that libraries such as torch have started: a
-    job that asks for them waits for ever, which is noticed. Helpers end with this process, however it ends.
+    job that asks for them waits for ever, which is noticed. Helpers end with this process, however it ends, and with
+    this object, where nobody closes it.
 
     Args:
         job: what every worker runs on its own share.
@@ -72,20 +74,15 @@ class ForkedWorkers:
             self._processes.append(context.Process(target=self._serve, args=(worker, ours, theirs), daemon=True))
             self._pipes.append(ours)
             self._theirs.append(theirs)
-        self._closed = threading.Event()
+        closed = threading.Event()
+        self._end = weakref.finalize(self, _end, self._caller, self._processes, self._pipes, closed)
+        self._end.atexit = False  # helpers see for themselves that their caller ends
         if threading.current_thread() is threading.main_thread():
             self._fork()
         else:  # helpers end with the thread that forked them, and the caller's may end sooner
             forked: Future[None] = Future()
-            threading.Thread(target=self._fork_and_stay, args=(forked,), daemon=True).start()
+            threading.Thread(target=_fork_and_stay, args=([self._fork], forked, closed), daemon=True).start()
             forked.result()
-
-    def _fork_and_stay(self, forked: Future[None]) -> None:
-        try:
-            forked.set_result(self._fork())
-        except BaseException as error:
-            forked.set_exception(error)
-        self._closed.wait()
 
     def _fork(self) -> None:
         for process, theirs in zip(self._processes, self._theirs, strict=True):
@@ -136,13 +133,7 @@ class ForkedWorkers:
 
     def close(self) -> None:
         """End the helpers, whatever they are at; they own nothing."""
-        for process in self._processes:
-            process.kill()
-        for process, pipe in zip(self._processes, self._pipes, strict=True):
-            process.join()
-            pipe.close()
-        self._processes, self._pipes = [], []
-        self._closed.set()
+        self._end()
 
     def _take(self, samples: np.ndarray) -> Iterator[int]:
         """One sample at a time, until the workers together have taken all: contact-rich ones take longer."""
@@ -185,6 +176,32 @@ class ForkedWorkers:
                 pipe.send(traceback.format_exc())
             else:
                 pipe.send(time.process_time() - start)
+
+
+def _fork_and_stay(fork: list[Callable[[], None]], forked: Future[None], closed: threading.Event) -> None:
+    """Life of the thread that helpers end with; it keeps alive nothing that would end them when nobody has it."""
+    try:
+        forked.set_result(fork.pop()())
+    except BaseException as error:
+        forked.set_exception(error)
+    del forked
+    closed.wait()
+
+
+def _end(caller: int, processes: list[BaseProcess], pipes: list[Connection], closed: threading.Event) -> None:
+    """End helpers, and the thread that waits for that; a fork of their caller leaves them alone."""
+    if os.getpid() != caller:
+        return
+    started = [process for process in processes if process.pid is not None]
+    for process in started:
+        process.kill()
+    for process in started:
+        process.join()
+    for pipe in pipes:
+        pipe.close()
+    processes.clear()
+    pipes.clear()
+    closed.set()
 
 
 def _await(pipe: Connection, process: BaseProcess) -> None:

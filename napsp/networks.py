@@ -21,8 +21,9 @@ def mlp(n_inputs: int, hidden: tuple[int, ...], n_outputs: int, layer_norm: bool
     widths = [n_inputs, *hidden]
     layers: list[nn.Module] = []
     for before, after in itertools.pairwise(widths):
-        layers += [nn.Linear(before, after), *([nn.LayerNorm(after)] if layer_norm else []), nn.SiLU()]
-    return nn.Sequential(*layers, nn.Linear(widths[-1], n_outputs))
+        norm = [nn.LayerNorm(after, dtype=torch.float32)] if layer_norm else []
+        layers += [nn.Linear(before, after, dtype=torch.float32), *norm, nn.SiLU()]
+    return nn.Sequential(*layers, nn.Linear(widths[-1], n_outputs, dtype=torch.float32))
 
 
 class InputScaling(nn.Module):
@@ -30,10 +31,10 @@ class InputScaling(nn.Module):
 
     def __init__(self, n_observation: int, n_goal: int) -> None:
         super().__init__()
-        self.observation_mean = nn.Buffer(torch.zeros(n_observation))
-        self.observation_scale = nn.Buffer(torch.ones(n_observation))
-        self.goal_mean = nn.Buffer(torch.zeros(n_goal))
-        self.goal_scale = nn.Buffer(torch.ones(n_goal))
+        self.observation_mean = nn.Buffer(torch.zeros(n_observation, dtype=torch.float32))
+        self.observation_scale = nn.Buffer(torch.ones(n_observation, dtype=torch.float32))
+        self.goal_mean = nn.Buffer(torch.zeros(n_goal, dtype=torch.float32))
+        self.goal_scale = nn.Buffer(torch.ones(n_goal, dtype=torch.float32))
 
     def set(self, scaling: Scaling) -> None:
         """Copy the numbers of a numpy :class:`Scaling`."""

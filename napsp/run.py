@@ -19,6 +19,7 @@ from napsp.data.outcomes import evaluate
 from napsp.distance.graph import explained
 from napsp.envs.actions import used_actions
 from napsp.envs.gap import goal_gap
+from napsp.envs.goal_check import check_resolution
 from napsp.envs.goal_task import is_goal_task, make_goal_task, own_box
 from napsp.errors import UserError
 from napsp.execution import Execution
@@ -237,6 +238,7 @@ def new_learner(
     """The learner before iteration 0; collects the warm-up episodes unless they are given."""
     torch.manual_seed(config.seed)  # initial weights
     rng, generator = np.random.default_rng(config.seed), torch.Generator().manual_seed(config.seed)
+    check_resolution(envs[0], config.env, envs[0].reset(seed=config.seed)[0])
     if config.explore.held_starts and not getattr(envs[0].unwrapped, "grasps", False):
         raise UserError(f"{config.env} has no box to hold; use --explore.held-starts 0")
     if warmup is None:

@@ -13,6 +13,9 @@ import torch
 torch.set_num_threads(1)
 
 from napsp import envs
+from napsp.envs.joint_types import mend_joint_types
+
+mend_joint_types()  # also for stock robots that tests make themselves
 
 TASKS = (
     "point_maze",

@@ -1,5 +1,6 @@
 """Helper processes of rollouts: failures are reported, nothing is left behind, changes are seen."""
 
+import mmap
 import multiprocessing
 import os
 import select
@@ -104,7 +105,7 @@ class Waiting(Explosive):
 
     def __init__(self):
         super().__init__(open_loop=False)
-        self.home = os.getpid()
+        self.home, self.stuck, self.lets_others_begin = os.getpid(), mmap.mmap(-1, 1), False
 
     def bind(self, data):
         bound = Bound(self, data)
@@ -112,8 +113,11 @@ class Waiting(Explosive):
 
         def shared(*rows):
             if os.getpid() != self.home:
+                self.stuck[0] = 1
                 threading.Event().wait()
-            time.sleep(0.1)  # so that helpers get their share
+            end = time.monotonic() + 30.0
+            while self.lets_others_begin and not self.stuck[0] and time.monotonic() < end:
+                time.sleep(0.01)
             advance(*rows)
 
         bound.advance = shared
@@ -126,6 +130,7 @@ def test_a_stuck_helper_process_is_noticed_and_threads_go_on(monkeypatch):
     state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.full((4, 2, 1), 1e-9)
     with RolloutEngine(dynamics, 1) as engine:
         alone = engine.rollout(state, actions)
+    dynamics.lets_others_begin = True
     with RolloutEngine(dynamics, 3) as engine:
         with pytest.warns(RuntimeWarning, match="waits for ever in a forked process.*simulating in threads"):
             first = engine.rollout(state, actions)

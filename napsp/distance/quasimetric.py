@@ -30,8 +30,10 @@ class QuasimetricHead(nn.Module):
         size = N_COMPONENTS * COMPONENT_SIZE
         self.pair = mlp(sizes[0] + sizes[1], hidden, size, layer_norm)
         self.goal = mlp(self._n_goal, hidden, size, layer_norm)
-        self.mixture = nn.Parameter(torch.zeros(()))  # logit of the mean's weight against the maximum's
-        self.log_scale = nn.Parameter(torch.zeros(()))
+        self.mixture = nn.Parameter(
+            torch.zeros((), dtype=torch.float32)
+        )  # logit of the mean's weight against the maximum's
+        self.log_scale = nn.Parameter(torch.zeros((), dtype=torch.float32))
 
     def forward(self, inputs: Tensor) -> Tensor:
         """D / T ``(B,)`` of scaled and joined rows ``(B, O + A + G)``."""
@@ -70,7 +72,9 @@ class LatentHead(nn.Module):
             for parameter in self.dynamics[-1].parameters():
                 parameter.zero_()  # to begin with, nothing moves
         self.projector = mlp(LATENT, hidden[:1], N_COMPONENTS * COMPONENT_SIZE, layer_norm)
-        self.mixture = nn.Parameter(torch.zeros(()))  # logit of the mean's weight against the maximum's
+        self.mixture = nn.Parameter(
+            torch.zeros((), dtype=torch.float32)
+        )  # logit of the mean's weight against the maximum's
 
     def after(self, latents: Tensor, actions: Tensor) -> Tensor:
         """Latents a step later ``(B, LATENT)``."""

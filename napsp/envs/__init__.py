@@ -97,7 +97,10 @@ def create(name: str, **kwargs: Any) -> gymnasium.Env:
     Raises:
         UserError: unknown, or no environment.
     """
+    from napsp.envs.joint_types import mend_joint_types  # gymnasium-robotics takes a while to import
+
     name = canonical_name(name)
+    mend_joint_types()
     try:
         env: Any = _loader(name)(**kwargs)
     except Exception as error:

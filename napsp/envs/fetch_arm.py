@@ -161,11 +161,10 @@ class ThinFetch(ABC):
         """The task's physics."""
 
     def _build_model(self) -> mujoco.MjModel:
-        spec = mujoco.MjSpec.from_file(self.fullpath)
+        self.model_spec = spec = mujoco.MjSpec.from_file(self.fullpath)
         self._add_obstacles(spec)
         if not self._arm_self_collision:
             filter_collisions(spec, self.grasps)
-        self.model_spec = spec
         return spec.compile()
 
     def _add_obstacles(self, spec: mujoco.MjSpec) -> None:  # noqa: B027 - most tasks have none
@@ -181,9 +180,13 @@ class ThinFetch(ABC):
         self._simulation = self.dynamics.bind(self.data)
         self._features = np.zeros((1, self.dynamics.n_features))
         self._env_setup(initial_qpos=self.initial_qpos)
-        self.initial_time = self.data.time
-        self.initial_qpos = np.copy(self.data.qpos)
-        self.initial_qvel = np.copy(self.data.qvel)
+        start = self.data
+        self.initial_time, self.initial_qpos, self.initial_qvel = start.time, start.qpos.copy(), start.qvel.copy()
+
+    def _env_setup(self, initial_qpos: Any) -> None:  # numbers by the names of their joints
+        for name, value in initial_qpos.items():
+            self.data.joint(name).qpos = value
+        super()._env_setup({})  # type: ignore[misc]
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Advance one control step (0.04 s); same result as Fetch's own step, less Python."""
@@ -193,8 +196,8 @@ class ThinFetch(ABC):
         if self.render_mode == "human":
             self.render()
         observation = self._observation()
-        reward = self.compute_reward(observation["achieved_goal"], self.goal, {})
-        success = bool(self.reached(observation["achieved_goal"], self.goal))
+        achieved = observation["achieved_goal"]
+        reward, success = self.compute_reward(achieved, self.goal, {}), bool(self.reached(achieved, self.goal))
         return observation, float(reward), False, False, {"is_success": success}
 
     def _advance(self, control: np.ndarray) -> None:
@@ -241,8 +244,8 @@ class Walled:
         super().__init__(**kwargs)
 
     def _add_obstacles(self, spec: mujoco.MjSpec) -> None:
-        near, far = self.WALL_X
-        top = self.TABLE_TOP + self.wall_height  # down to the floor: beside the table nothing else is in the way
+        # Down to the floor: beside the table nothing else is in the way.
+        (near, far), top = self.WALL_X, self.TABLE_TOP + self.wall_height
         spec.worldbody.add_geom(
             name="wall",
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -255,8 +258,7 @@ class Walled:
     def _env_setup(self, initial_qpos: dict) -> None:
         super()._env_setup(initial_qpos)
         # Walk the gripper to the start in small increments, then let it settle.
-        grip = self.data.site_xpos[self.model.site("robot0:grip").id]
-        control = np.zeros(self.dynamics.n_controls)
+        grip, control = self.data.site_xpos[self.model.site("robot0:grip").id], np.zeros(self.dynamics.n_controls)
         for _ in range(12):
             control[:3] = np.clip(self.START_GRIP - grip, -ACTION_SCALE, ACTION_SCALE)
             self._advance(control)

@@ -18,6 +18,7 @@ from gymnasium_robotics.envs.fetch.pick_and_place import MujocoFetchPickAndPlace
 from napsp.envs.fetch_arm import GRIPPER_ROTATION, FetchDynamics, FetchSimulation, ThinFetch, Walled
 from napsp.envs.grasp import grasp
 
+BESIDE = 0.1  # metres in the plane from the gripper to where stock Fetch puts the box, at least
 SINGULAR = np.finfo(np.float64).eps * 4.0  # below this cosine of the pitch, Euler angles degenerate
 
 
@@ -158,6 +159,16 @@ class FetchPickPlaceEnv(ThinFetch, MujocoFetchPickAndPlaceEnv):
     def _act(self, action: np.ndarray) -> np.ndarray:
         self._advance(self.dynamics.control(action))
         return self._observation()["observation"]
+
+    def _reset_sim(self) -> bool:
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.time, self.data.qpos, self.data.qvel = self.initial_time, self.initial_qpos, self.initial_qvel
+        grip = box = self.initial_gripper_xpos[:2]
+        while np.linalg.norm(box - grip) < BESIDE:
+            box = grip + self.np_random.uniform(-self.obj_range, self.obj_range, size=2)
+        self.data.joint("object0:joint").qpos[:2] = box
+        mujoco.mj_forward(self.model, self.data)
+        return True
 
     def _make_dynamics(self, model: mujoco.MjModel) -> FetchPickPlaceDynamics:
         return FetchPickPlaceDynamics(model, self.augmented_goal)

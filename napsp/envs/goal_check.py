@@ -12,6 +12,7 @@ from napsp.envs.success import SuccessTest, check_sparse
 from napsp.errors import UserError, describe_failure
 
 N_GOALS, N_STEPS = 4, 5
+N_SPACINGS = 50  # of float32 that a success has to be wide, at least: rounding then moves its edge by a hundredth
 
 
 def check_spaces(env: Any, name: str) -> None:
@@ -76,6 +77,30 @@ def check_behaviour(env: Any, name: str, test: SuccessTest, sparse: bool) -> Non
         raise UserError(f"the success test of {name} answers otherwise for many pairs than for one; correct it")
     if sparse:
         check_sparse(env, name, reached, desired)
+
+
+def check_resolution(env: Any, name: str, start: dict[str, np.ndarray]) -> None:
+    """Check that float32, in which episodes are kept and networks compute, can tell what is a success.
+
+    Args:
+        env: has ``reached`` for pairs of goals ``(n, G)``.
+        name: for messages.
+        start: an observation after a reset.
+
+    Raises:
+        UserError: its goals are too far from the origin for how close a success has to be.
+    """
+    goals = np.stack([start["achieved_goal"], start["desired_goal"]]).astype(np.float64)
+    if (goals.astype(np.float32) == goals).all():
+        return
+    step = np.spacing(np.abs(goals).max().astype(np.float32)).astype(np.float64)
+    shifts = N_SPACINGS * step * np.vstack([np.eye(len(goals[1])), -np.eye(len(goals[1]))])
+    near = goals[1] + shifts
+    if not env.get_wrapper_attr("reached")(near, np.broadcast_to(goals[1], near.shape)).all():
+        raise UserError(
+            f"goals of {name} have coordinates of {np.abs(goals).max():.2g}, where float32 numbers are {step:.1g} "
+            "apart: too coarse for its success test; let it observe positions relative to a point near its goals"
+        )
 
 
 def _reset(env: Any, name: str, seed: int) -> dict[str, np.ndarray]:

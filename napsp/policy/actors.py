@@ -54,7 +54,7 @@ class GaussianPolicy(Policy):
     def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
         """A sample of the policy ``(B, A)``."""
         outputs = self(observation, goal)
-        noise = torch.randn((len(outputs), self.n_actions), generator=generator)
+        noise = torch.randn((len(outputs), self.n_actions), generator=generator, dtype=torch.float32)
         return squash(outputs, noise.to(outputs.device))[0]
 
 
@@ -68,7 +68,7 @@ class DeterministicPolicy(Policy):
     def explore(self, observation: Tensor, goal: Tensor, generator: torch.Generator) -> Tensor:
         """The action plus noise, clipped to [-1, 1] ``(B, A)``."""
         action = self.mode(observation, goal)
-        noise = torch.randn(action.shape, generator=generator).to(action.device)
+        noise = torch.randn(action.shape, generator=generator, dtype=torch.float32).to(action.device)
         return (action + self.action_noise * noise).clamp(-1.0, 1.0)
 
 

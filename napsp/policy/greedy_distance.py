@@ -34,7 +34,7 @@ class GreedyDistance:
         """Actions ``(B, A)`` in [-1, 1] for float32 observations ``(B, O)`` and goals ``(B, G)``."""
         n_rows, (n_candidates, n_actions) = len(observations), self._offsets.shape
         states, wanted = (torch.from_numpy(rows).repeat_interleave(n_candidates, 0) for rows in (observations, goals))
-        best, width = torch.zeros(n_rows, n_actions), 1.0
+        best, width = torch.zeros(n_rows, n_actions, dtype=torch.float32), 1.0
         with torch.inference_mode():
             for _ in range(self._n_rounds):
                 actions = (best[:, None] + width * self._offsets).clamp(-1.0, 1.0)

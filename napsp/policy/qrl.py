@@ -77,7 +77,7 @@ class QRL:
                 raise TypeError("QRL trains distances with --distance.head latent")
             self.heads.append(head)
         self.policy = DeterministicPolicy(sizes, hidden, config.action_noise).to(execution.torch_device)
-        start = torch.full((len(self.heads),), math.log(math.expm1(qrl.multiplier)))
+        start = torch.full((len(self.heads),), math.log(math.expm1(qrl.multiplier)), dtype=torch.float32)
         self.multipliers = start.to(execution.torch_device).requires_grad_()  # before their softplus
         self._distance_parameters = list(distance.distance.parameters())
         self.optimizers = {

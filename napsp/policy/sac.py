@@ -44,7 +44,7 @@ class SAC:
         self.target_critic = self._slow_critic.network
         self._critic_parameters = list(self.critic.parameters())
         start = 0.1 if config.entropy_weight is None else config.entropy_weight
-        self.log_alpha = torch.tensor(float(start), device=self.device).log().requires_grad_()
+        self.log_alpha = torch.tensor(float(start), dtype=torch.float32, device=self.device).log().requires_grad_()
         self.min_log_alpha = math.log(config.min_entropy_weight * lost_step)
         self.target_entropy = -float(sizes[1])
         self.adapts = config.entropy_weight is None
@@ -61,7 +61,7 @@ class SAC:
 
         Goal reaching goes on after success and beyond a time limit, unless the batch says that nothing follows.
         """
-        noise = torch.randn((2, *transitions.actions.shape), generator=generator).to(self.device)
+        noise = torch.randn((2, *transitions.actions.shape), generator=generator, dtype=torch.float32).to(self.device)
         batches = transitions.scaled(self.policy.scaling).split(batch_size)
         draws = noise.split(batch_size, dim=1)
         rows = [self._update(*batch, draw) for batch, draw in zip(batches, draws, strict=True)]
