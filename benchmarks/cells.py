@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,6 +17,7 @@ from napsp.config import TrainConfig, identity_of, recipes
 from napsp.envs import file_name
 from napsp.errors import UserError
 from napsp.execution import Execution
+from napsp.storage import lock
 from napsp.storage.checkpoint import SHIPPED, shipped_model
 from napsp.storage.files import write_atomically, write_json
 from napsp.storage.progress import read_rows
@@ -28,10 +28,6 @@ from napsp.train import train
 RESULTS = Path("results")
 RUNS = Path("runs") / "benchmarks"
 ROWS = RESULTS / "runs"  # one small file per trained cell: no two processes write the same one
-
-
-class BusyError(Exception):
-    """Another process works on this cell."""
 
 
 def usual_recipe(env: str) -> str:
@@ -62,11 +58,7 @@ def exclusive(folder: Path, wait: bool) -> Iterator[None]:
         BusyError: another process holds it and ``wait`` is false.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with open(folder.with_name(f".{folder.name}.lock"), "w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            raise BusyError from None
+    with lock.exclusive(folder.with_name(f".{folder.name}.lock"), wait):
         yield
 
 

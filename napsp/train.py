@@ -20,6 +20,7 @@ from napsp.execution import Execution
 from napsp.renamed import FLAGS
 from napsp.run import Run
 from napsp.settings import refuse_old_flags
+from napsp.storage.lock import only_writer
 from napsp.storage.progress import Row
 from napsp.storage.record import RECORD_FILE
 
@@ -37,9 +38,21 @@ def train(
     A folder that holds an unfinished run with the same settings is continued, unless ``restart``. ``on_evaluation`` is
     handed each new row of ``metrics.csv``, and ends the run, saved, by returning False. Returns all rows.
     """
-    run = Run.open(config, folder, restart, tensorboard, execution or Execution())
+    with only_writer(folder):
+        return _train(config, folder, restart, tensorboard, execution or Execution(), on_evaluation)
+
+
+def _train(
+    config: TrainConfig,
+    folder: Path,
+    restart: bool,
+    tensorboard: bool,
+    execution: Execution,
+    on_evaluation: Callable[[Row], Any] | None,
+) -> list[Row]:
+    run = Run.open(config, folder, restart, tensorboard, execution)
     run.on_evaluation = on_evaluation
-    learner = run.learner
+    learner, config = run.learner, run.config
     try:
         for iteration in range(run.iteration, run.n_iterations):  # Algorithm 1, line 1
             recent = run.collect(learner.agent.policy)  # 3: D_last

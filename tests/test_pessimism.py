@@ -12,7 +12,7 @@ from napsp.distance.counts import uncertainty
 from napsp.errors import UserError
 from napsp.storage.checkpoint import MODEL_FILE, load_model, shipped_model
 from napsp.storage.files import read_tensors, write_tensors
-from napsp.storage.resume import STATE_FILE
+from napsp.storage.state import STATE_FILE
 from napsp.train import train
 from planners.app.cli import run
 from planners.app.config import PlanConfig

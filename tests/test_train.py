@@ -22,7 +22,8 @@ from napsp.run import Run
 from napsp.settings import as_flags
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors, write_tensors
-from napsp.storage.resume import STATE_FILE, read_training
+from napsp.storage.resume import read_training
+from napsp.storage.state import STATE_FILE
 from napsp.train import parse, train
 
 
