@@ -19,7 +19,7 @@ from napsp.errors import UserError
 from napsp.execution import Execution
 from napsp.storage import lock
 from napsp.storage.checkpoint import SHIPPED, shipped_model
-from napsp.storage.files import write_atomically, write_json
+from napsp.storage.files import read_json, sound, write_atomically, write_json
 from napsp.storage.progress import read_rows
 from napsp.storage.record import RECORD_FILE
 from napsp.storage.revision import git_revision
@@ -27,6 +27,7 @@ from napsp.train import train
 
 RESULTS = Path("results")
 RUNS = Path("runs") / "benchmarks"
+AGAIN = "put back a copy, or remove it and measure again"
 ROWS = RESULTS / "runs"  # one small file per trained cell: no two processes write the same one
 
 
@@ -47,7 +48,10 @@ def as_text(identity: Mapping[str, Any] | None) -> str:
 
 def training_of(row: Mapping[str, str]) -> dict[str, Any] | None:
     """What the model of a row was trained with, from its column ``training``; None without a model."""
-    return json.loads(row["training"]) if row["training"] else None
+    try:
+        return json.loads(row["training"]) if row["training"] else None
+    except (ValueError, RecursionError):
+        raise UserError(f"a row says it was trained with {row['training']!r}, which is no JSON; measure anew") from None
 
 
 @contextmanager
@@ -91,8 +95,10 @@ def checkpoint_of(config: TrainConfig) -> Path:
 
 def recorded_training(folder: Path) -> tuple[dict[str, Any], int]:
     """What a finished run was trained with, and its seed."""
-    record = json.loads((folder / RECORD_FILE).read_text())
-    return identity_of(record["config"]), record["seed"]
+    path = folder / RECORD_FILE
+    record = read_json(path, "finish its run again")
+    with sound(path, "finish its run again"):
+        return identity_of(record["config"]), int(record["seed"])
 
 
 def training_beside(checkpoint: Path | None, env: str) -> tuple[dict[str, Any], int]:
@@ -131,7 +137,7 @@ def publish(folder: Path) -> None:
     """Copy what describes a finished run, and its learning curve, to ``results/runs``."""
     path = ROWS / f"{folder.name}.json"
     if not path.is_file():
-        record = json.loads((folder / RECORD_FILE).read_text())
+        record = read_json(folder / RECORD_FILE, "finish its run again")
         columns = {"episodes", "success_rate", "any_success_rate", "max_reward", "mean_distance", "distance_at_goal",
                    "merging_rate", "relaxation_rate", "seconds"}  # fmt: skip
         curve = [{k: round(v, 4) for k, v in row.items() if k in columns}
@@ -143,16 +149,26 @@ def publish(folder: Path) -> None:
 def learning_curves(env: str | None = None) -> list[dict[str, Any]]:
     """All published runs (of a task): command, configuration, and ``curve`` of evaluations."""
     paths = sorted(ROWS.glob(f"{env or ''}*.json"))
-    runs = [json.loads(path.read_text()) for path in paths]
+    runs = [_run(path) for path in paths]
     return [run for run in runs if env in (None, run["config"]["env"])]
+
+
+def _run(path: Path) -> dict[str, Any]:
+    run = read_json(path, AGAIN)
+    with sound(path, AGAIN):
+        run["config"]["env"], run["seed"] + 0, [float(row["episodes"]) for row in run["curve"]]
+    return run
 
 
 def read_results(path: Path) -> list[dict[str, str]]:
     """Rows of a results file; none if it does not exist."""
     if not path.is_file():
         return []
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
+    with sound(path, AGAIN), open(path, newline="") as file:
+        rows = list(csv.DictReader(file, strict=True))
+        if any(None in row or None in row.values() for row in rows):
+            raise ValueError("rows of different lengths")
+        return rows
 
 
 def find(rows: Iterable[Mapping[str, str]], key: Mapping[str, Any]) -> Mapping[str, str] | None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
-
-from benchmarks.cells import RESULTS, read_results
+from benchmarks.cells import AGAIN, RESULTS, read_results
+from napsp.storage.files import read_json
 
 
 def speed_table() -> list[str]:
@@ -21,7 +20,7 @@ def speed_table() -> list[str]:
         "|---|---|---|---|---|---|---|---|",
     ]
     for path in sorted(RESULTS.glob("rollout_speed_*.json")):
-        row = json.loads(path.read_text())
+        row = read_json(path, AGAIN)
         collection = row.get("collection_speedup_same_model")
         lines.append(
             f"| {row['env']} | {row.get('planning_model', 'exact')} | {row['samples']} x {row['horizon']} "
@@ -69,7 +68,7 @@ def learner_table() -> list[str]:
     ]
     cpu, idle = "ours_cpu_seconds_per_second", "share_outside_kernels"
     for path in sorted(RESULTS.glob("learner_speed_*.json")):
-        row = json.loads(path.read_text())
+        row = read_json(path, AGAIN)
         lines.append(
             f"| {row['hidden']} | {row['batch_size']} | {row.get('device', 'cpu')} | {row['threads']} "
             f"| {row['torch']} | {row.get('matmul_precision', 'highest')} "

@@ -27,9 +27,10 @@ from napsp.parts import build_learner
 from napsp.policy.greedy import GreedyPolicy
 from napsp.settings import as_flags
 from napsp.storage.checkpoint import MODEL_FILE, save_model, sizes_of
+from napsp.storage.files import sound
 from napsp.storage.progress import Progress, Row, read_rows
 from napsp.storage.record import RECORD_FILE, write_record
-from napsp.storage.resume import begun, explorers_of, read_training, restore_training, sound, warmup_episodes
+from napsp.storage.resume import FIX, begun, explorers_of, read_training, restore_training, warmup_episodes
 from napsp.storage.revision import git_revision
 from napsp.storage.segments import remove_segments
 from napsp.storage.state import STATE_FILE, TrainingState, warmup_of
@@ -96,7 +97,7 @@ class Run:
         if config.explore.explorers and learner.graph is not None:
             explorers = Explorers.of(config)
             if saved:
-                with sound(path):
+                with sound(path, FIX):
                     explorers.restore(explorers_of(saved[0], len(explorers.worlds)))
         folder.mkdir(parents=True, exist_ok=True)
         progress = Progress(folder, rows, tensorboard, config.method)

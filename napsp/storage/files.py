@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +76,19 @@ def read_json(path: Path, fix: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise UserError(f"{path} is damaged; {fix}")
     return content
+
+
+@contextmanager
+def sound(path: Path, fix: str) -> Iterator[None]:
+    """Whatever cannot be made of a file's content, because it is cut, forged or foreign, becomes one sentence.
+
+    Raises:
+        UserError: reading what ``path`` held failed; ``fix`` says what to do then.
+    """
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError, csv.Error) as error:
+        raise UserError(f"{path} does not hold what it should ({type(error).__name__}: {error}); {fix}") from None
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> str:

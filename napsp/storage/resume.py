@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,12 @@ from napsp.distance.counts import KeyCounts
 from napsp.errors import UserError
 from napsp.learner import Learner
 from napsp.settings import changed, differences
-from napsp.storage.files import OLDER, read_tensors
+from napsp.storage.files import OLDER, read_tensors, sound
 from napsp.storage.older import todays_state
 from napsp.storage.segments import FOLDER, checked_table, episodes_of, listed, read_episodes, read_segment, refill
 from napsp.storage.state import STATE_FILE, TABLE, Stored, agent_tensors, hashes_of, optimizers_of, tables_of
+
+FIX = "put back a copy, or begin anew with --restart"
 
 
 def read_training(path: Path, config: TrainConfig) -> Stored:
@@ -35,7 +36,7 @@ def read_training(path: Path, config: TrainConfig) -> Stored:
         tensors, header = read_tensors(path, "training state")
         if header["format"] == OLDER or "episode_length" not in header:
             raise UserError(f"{path} was written by an older version of napsp; finish it there")
-        with sound(path):
+        with sound(path, FIX):
             tensors, header = todays_state(tensors, header)
             different = {"env": config.env}
             if header["config"]["env"] == config.env:  # another one is not to be imported
@@ -69,12 +70,30 @@ def stored_episodes(folder: Path) -> Episodes:
     """
     path = folder / STATE_FILE
     tensors, header = read_tensors(path, "training state")
-    with sound(path):
+    with sound(path, FIX):
         tensors, header = todays_state(tensors, header)
         if "buffer.actions" in tensors:
             return _episodes_within(tensors, path)
         span = header["replay"]["start"], header["replay"]["end"]
         return concatenate(list(read_episodes(folder, listed(header["episodes"], "episodes", path), *span)))
+
+
+def stored_tables(folder: Path) -> dict[str, KeyCounts]:
+    """The counts of a run by name, from its state.
+
+    Raises:
+        UserError: there is no state, or it is damaged.
+    """
+    path = folder / STATE_FILE
+    tensors, header = read_tensors(path, "training state")
+    with sound(path, FIX):
+        stored = todays_state(tensors, header)
+        if "buffer.actions" in tensors:
+            names = [name.removesuffix(".keys") for name in tensors if name.endswith(".keys")]
+        else:
+            first = read_segment(folder, listed(stored[1]["counts"], "counts", path)[0])
+            names = [name.removesuffix(".keys") for name in first if name.endswith(".keys")]
+        return _tables(folder, names, stored)
 
 
 def warmup_episodes(folder: Path, stored: Stored, config: TrainConfig) -> Episodes:
@@ -84,7 +103,7 @@ def warmup_episodes(folder: Path, stored: Stored, config: TrainConfig) -> Episod
         UserError: they are damaged, or of other sizes than the state says.
     """
     (tensors, header), path = stored, folder / STATE_FILE
-    with sound(path):
+    with sound(path, FIX):
         if "buffer.actions" in tensors:
             found = _episodes_within(tensors, path)[: config.n_warmup]
         else:
@@ -103,7 +122,7 @@ def restore_training(folder: Path, learner: Learner, stored: Stored) -> int:
         UserError: the state is not that of such a learner, or has lost some of its files.
     """
     (tensors, header), path, config = stored, folder / STATE_FILE, learner.config
-    with sound(path):
+    with sound(path, FIX):
         with torch.no_grad():
             for name, value in agent_tensors(learner).items():
                 _check(tensors[name], value, name)
@@ -114,7 +133,7 @@ def restore_training(folder: Path, learner: Learner, stored: Stored) -> int:
             for key in keys:
                 _check(tensors[f"{name}.{key}"], torch.from_numpy(getattr(holder, key)), name)
                 setattr(holder, key, tensors[f"{name}.{key}"].numpy())
-        for name, table in _stored_tables(folder, learner, stored).items():
+        for name, table in _tables(folder, tables_of(learner), stored).items():
             own = tables_of(learner)[name]
             own.keys, own.counts = table.keys, table.counts
             if "buffer.actions" not in tensors:  # all that is there is in files
@@ -144,18 +163,6 @@ def explorers_of(tensors: dict[str, Tensor], n: int) -> list[dict[str, np.ndarra
     return [{k.removeprefix(p): v.numpy() for k, v in tensors.items() if k.startswith(p)} for p in prefixes]
 
 
-@contextmanager
-def sound(path: Path) -> Iterator[None]:
-    """Whatever cannot be read from a state, because it is cut, forged or foreign, becomes one sentence."""
-    try:
-        yield
-    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        raise UserError(
-            f"{path} does not hold the state that its header describes ({type(error).__name__}: {error}); put back a "
-            "copy, or begin anew with --restart"
-        ) from None
-
-
 def _check(found: Tensor, own: Tensor, name: str) -> None:
     if found.shape != own.shape or found.dtype != own.dtype:
         raise ValueError(f"{name} is {tuple(found.shape)} {found.dtype}, and should be {tuple(own.shape)} {own.dtype}")
@@ -181,10 +188,9 @@ def _totals(replay: Mapping[str, int]) -> tuple[int, int, int]:
     return totals
 
 
-def _stored_tables(folder: Path, learner: Learner, stored: Stored) -> dict[str, KeyCounts]:
-    """All counts: what every save added."""
+def _tables(folder: Path, names: Iterable[str], stored: Stored) -> dict[str, KeyCounts]:
+    """Counts by name: what every save added."""
     (tensors, header), path = stored, folder / STATE_FILE
-    names = tables_of(learner)
     if "buffer.actions" in tensors:
         return {name: checked_table(*(tensors[f"{name}.{part}"].numpy() for part in TABLE), path) for name in names}
     found = {name: KeyCounts() for name in names}
