@@ -91,6 +91,8 @@ class Ongoing(gymnasium.Wrapper):
         self.env.reset(seed=0)
         put_state(world.dynamics.bind(world.data), world.model, world.data, state["physics"])
         self.last = {name: value for name, value in state.items() if name not in ("n_episodes", "physics")}
+        if np.shape(getattr(world, "goal", None)) == self.last["desired_goal"].shape:
+            world.goal = self.last["desired_goal"].copy()  # the task's own, as its reset had drawn it
 
 
 class RoleActor:

@@ -177,7 +177,7 @@ def _moments(tensors: dict[str, Tensor], name: str, optimizer: torch.optim.Adam)
             found[i] = {key: tensors[f"{name}.{i}.{key}"] for key in ("step", "exp_avg", "exp_avg_sq")}
             for key in ("exp_avg", "exp_avg_sq"):
                 _check(found[i][key], parameter, f"{name}.{i}.{key}")
-            _check(found[i]["step"], torch.tensor(0.0), f"{name}.{i}.step")
+            _check(found[i]["step"], torch.zeros((), dtype=torch.float32), f"{name}.{i}.step")
     return found
 
 

@@ -43,7 +43,8 @@ def claim(folder: Path, described: dict[str, Any]) -> str | None:
     held = _read(folder / OWNER)
     different = [name for name in TOLD_APART if held.get(name) != asked[name]]
     if "differences" in different:
-        own, others = asked["differences"], held.get("differences") or {}
+        own, others = asked["differences"], held.get("differences")
+        others = others if isinstance(others, dict) else {}
         named = sorted(name for name in own.keys() | others.keys() if own.get(name) != others.get(name))
         different = [name for name in different if name != "differences"] + named
     if different:
