@@ -26,7 +26,8 @@ from napsp.storage.state import STATE_FILE
 from napsp.train import train
 from planners.app.folder import OWNER, SUMMARY, claim
 
-N, SEED = (int(os.environ.get(name, usual)) for name, usual in (("NAPSP_MUTATIONS", "300"), ("NAPSP_SEED", "0")))
+N, SEED = (int(os.environ.get(name, usual)) for name, usual in (("NAPSP_MUTATIONS", "200"), ("NAPSP_SEED", "0")))
+TRACED = 5  # in every fifth trial Python's own memory is traced, which takes longer than reading
 FLOOR = 2**21  # bytes that reading the sound file takes as well: networks, parsed text
 ROOM = 2**29  # bytes of address space that all of it may take beyond what the process has
 
@@ -89,7 +90,7 @@ def subjects(tmp_path, monkeypatch):
 
 @contextmanager
 def bounded():
-    """Endless reading and large memory become errors, and Python's own memory is traced."""
+    """Endless reading and large memory become errors."""
 
     def hangs(signum, frame):
         raise TimeoutError("reading hangs")
@@ -99,20 +100,19 @@ def bounded():
     if statm.is_file():
         taken = int(statm.read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (taken + ROOM, limit[1]))
-    tracemalloc.start()
     try:
         yield
     finally:
-        tracemalloc.stop()
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
         resource.setrlimit(resource.RLIMIT_AS, limit)
 
 
-def outcome(reader, size):
+def outcome(reader, size, traced):
     """Whether a file of so many bytes was read, refused, or else what went wrong."""
-    tracemalloc.reset_peak()
-    start, result = tracemalloc.get_traced_memory()[0], "read"
+    if traced:
+        tracemalloc.start()
+    result = "read"
     signal.alarm(30)
     try:
         reader()
@@ -121,7 +121,8 @@ def outcome(reader, size):
     except Exception as error:
         result = f"{type(error).__name__}: {error}"
     signal.alarm(0)
-    peak = tracemalloc.get_traced_memory()[1] - start
+    peak = tracemalloc.get_traced_memory()[1]  # 0 where it is not
+    tracemalloc.stop()
     return result if peak <= max(2 * size, FLOOR) else f"{peak} bytes for a file of {size}"
 
 
@@ -133,20 +134,21 @@ def test_every_damaged_file_is_read_or_refused_in_a_sentence(subjects, tmp_path)
     for reader, _ in readers.values():
         reader()  # sound ones are read, and what is made once is made
     with bounded():
-        for _ in range(N):
+        for trial in range(N):
             path = drawn[rng.integers(len(drawn))]
             owner.write_bytes(kept[owner])
             path.write_bytes(kept[path])
             data, kind = mutated(path, kept[path], rng)
             path.write_bytes(data)
-            result = outcome(readers[path][0], len(data))
+            result = outcome(readers[path][0], len(data), trial % TRACED == 0)
             path.write_bytes(kept[path])
             name = path.name.partition("-")[0]
             if result in ("read", "refused"):
                 found[name, result] += 1
             else:
                 faults[name, kind, result] += 1
-    print(dict(sorted(found.items())), *faults.items(), sep="\n")
+                print(name, kind, result, flush=True)
+    print(dict(sorted(found.items())))
     assert not faults
     assert sum(n for (_, result), n in found.items() if result == "refused") > N / 2, "most of them cannot be read"
     assert {path.name for path in tmp_path.iterdir()} <= {"run", "runs", "rows.csv", "plans", "published"}, "outside"

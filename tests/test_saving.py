@@ -7,6 +7,7 @@ import pytest
 import torch
 from tiny import content, fingerprint, learned, tiny
 
+from benchmarks.saving import SavingOptions, measure
 from napsp.data.episodes import FIELDS
 from napsp.distance.counts import KeyCounts
 from napsp.errors import UserError
@@ -187,3 +188,14 @@ def test_a_finished_run_has_the_model_of_its_end_wherever_it_was_killed(tmp_path
     monkeypatch.undo()
     train(few(n_episodes=12), tmp_path)
     assert read_tensors(tmp_path / "model.safetensors", "model")[1]["episodes"] == 12
+
+
+def test_the_cost_of_a_save_is_measured(tmp_path):
+    for name, capacity in (("all", None), ("few", 100)):
+        (tmp_path / name).mkdir()
+        rows = measure(SavingOptions(episodes=600, steps=20, every=50, capacity=capacity), tmp_path / name)
+        assert [row["episodes"] for row in rows][-1] >= 600
+        episodes = 50 * (21 * (25 + 3) + 20 * 4 + 3) * 4
+        assert all(row["bytes"] > episodes for row in rows[1:]), "the new episodes, and the rest"
+        assert rows[-1]["bytes"] < rows[1]["bytes"] + 50 * 20 * 16 * 3, "no more than the new counts are apart"
+    assert rows[-1]["replay_mb"] * 2**20 < 2.1 * episodes + 2**17, "100 episodes"
