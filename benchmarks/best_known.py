@@ -6,7 +6,6 @@ actions that lead there (``results/best_known/TASK.json``). An upper bound of th
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cells import RESULTS
+from benchmarks.cells import AGAIN, RESULTS
 from benchmarks.command import read_options
 from benchmarks.maze_probe import Probe
 from napsp import envs as tasks
 from napsp.errors import UserError, run_command
-from napsp.storage.files import write_json
+from napsp.storage.files import read_json, write_json
 from napsp.storage.revision import git_revision
 from planners.app.config import PlanConfig
 from planners.app.options import RunOptions
@@ -51,7 +50,7 @@ class KnownOptions:
 def ways(env_name: str) -> dict[str, dict[str, Any]]:
     """The shortest way of each episode by its seed: steps, actions ``(steps, A)``, and who found it."""
     path = FOLDER / f"{tasks.file_name(env_name)}.json"
-    return json.loads(path.read_text()) if path.is_file() else {}
+    return read_json(path, AGAIN) if path.is_file() else {}
 
 
 def known_probe(env_name: str) -> Probe:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,8 +17,9 @@ from napsp.config import TrainConfig, identity_of, recipes
 from napsp.envs import file_name
 from napsp.errors import UserError
 from napsp.execution import Execution
+from napsp.storage import lock
 from napsp.storage.checkpoint import SHIPPED, shipped_model
-from napsp.storage.files import write_atomically, write_json
+from napsp.storage.files import read_json, sound, write_atomically, write_json
 from napsp.storage.progress import read_rows
 from napsp.storage.record import RECORD_FILE
 from napsp.storage.revision import git_revision
@@ -27,11 +27,8 @@ from napsp.train import train
 
 RESULTS = Path("results")
 RUNS = Path("runs") / "benchmarks"
+AGAIN = "put back a copy, or remove it and measure again"
 ROWS = RESULTS / "runs"  # one small file per trained cell: no two processes write the same one
-
-
-class BusyError(Exception):
-    """Another process works on this cell."""
 
 
 def usual_recipe(env: str) -> str:
@@ -51,7 +48,10 @@ def as_text(identity: Mapping[str, Any] | None) -> str:
 
 def training_of(row: Mapping[str, str]) -> dict[str, Any] | None:
     """What the model of a row was trained with, from its column ``training``; None without a model."""
-    return json.loads(row["training"]) if row["training"] else None
+    try:
+        return json.loads(row["training"]) if row["training"] else None
+    except (ValueError, RecursionError):
+        raise UserError(f"a row says it was trained with {row['training']!r}, which is no JSON; measure anew") from None
 
 
 @contextmanager
@@ -62,11 +62,7 @@ def exclusive(folder: Path, wait: bool) -> Iterator[None]:
         BusyError: another process holds it and ``wait`` is false.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with open(folder.with_name(f".{folder.name}.lock"), "w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            raise BusyError from None
+    with lock.exclusive(folder.with_name(f".{folder.name}.lock"), wait):
         yield
 
 
@@ -99,8 +95,10 @@ def checkpoint_of(config: TrainConfig) -> Path:
 
 def recorded_training(folder: Path) -> tuple[dict[str, Any], int]:
     """What a finished run was trained with, and its seed."""
-    record = json.loads((folder / RECORD_FILE).read_text())
-    return identity_of(record["config"]), record["seed"]
+    path = folder / RECORD_FILE
+    record = read_json(path, "finish its run again")
+    with sound(path, "finish its run again"):
+        return identity_of(record["config"]), int(record["seed"])
 
 
 def training_beside(checkpoint: Path | None, env: str) -> tuple[dict[str, Any], int]:
@@ -139,7 +137,7 @@ def publish(folder: Path) -> None:
     """Copy what describes a finished run, and its learning curve, to ``results/runs``."""
     path = ROWS / f"{folder.name}.json"
     if not path.is_file():
-        record = json.loads((folder / RECORD_FILE).read_text())
+        record = read_json(folder / RECORD_FILE, "finish its run again")
         columns = {"episodes", "success_rate", "any_success_rate", "max_reward", "mean_distance", "distance_at_goal",
                    "merging_rate", "relaxation_rate", "seconds"}  # fmt: skip
         curve = [{k: round(v, 4) for k, v in row.items() if k in columns}
@@ -151,16 +149,26 @@ def publish(folder: Path) -> None:
 def learning_curves(env: str | None = None) -> list[dict[str, Any]]:
     """All published runs (of a task): command, configuration, and ``curve`` of evaluations."""
     paths = sorted(ROWS.glob(f"{env or ''}*.json"))
-    runs = [json.loads(path.read_text()) for path in paths]
+    runs = [_run(path) for path in paths]
     return [run for run in runs if env in (None, run["config"]["env"])]
+
+
+def _run(path: Path) -> dict[str, Any]:
+    run = read_json(path, AGAIN)
+    with sound(path, AGAIN):
+        _ = run["config"]["env"], run["seed"] + 0, [float(row["episodes"]) for row in run["curve"]]  # what all need
+    return run
 
 
 def read_results(path: Path) -> list[dict[str, str]]:
     """Rows of a results file; none if it does not exist."""
     if not path.is_file():
         return []
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
+    with sound(path, AGAIN), open(path, newline="") as file:
+        rows = list(csv.DictReader(file, strict=True))
+        if any(None in row or None in row.values() for row in rows):
+            raise ValueError("rows of different lengths")
+        return rows
 
 
 def find(rows: Iterable[Mapping[str, str]], key: Mapping[str, Any]) -> Mapping[str, str] | None:

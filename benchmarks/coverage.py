@@ -19,7 +19,7 @@ from napsp.errors import UserError, run_command
 from napsp.storage.files import read_tensors
 from napsp.storage.progress import read_rows
 from napsp.storage.record import save_figure
-from napsp.storage.resume import STATE_FILE
+from napsp.storage.resume import stored_episodes
 from planners.app.maze_map import draw_walls
 
 
@@ -37,8 +37,7 @@ class CoverageOptions:
 
 def visited(folder: Path) -> np.ndarray:
     """Every position in the replay buffer of a run, in order, ``(E, T + 1, 2)``."""
-    tensors, _ = read_tensors(folder / STATE_FILE, "training state")
-    return tensors["buffer.achieved_goals"].numpy()
+    return stored_episodes(folder).achieved_goals
 
 
 def coverage(positions: np.ndarray, scale: float, bins: int) -> tuple[float, float]:

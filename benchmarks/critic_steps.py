@@ -12,7 +12,7 @@ from napsp.errors import UserError
 from napsp.policy.critic import Critic
 from napsp.storage.checkpoint import Model
 from napsp.storage.files import read_tensors
-from napsp.storage.resume import STATE_FILE
+from napsp.storage.state import STATE_FILE
 
 PREFIX = "critic."
 

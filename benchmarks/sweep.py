@@ -8,6 +8,7 @@ Ray on several machines with a shared folder - work on the same list without mee
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -90,13 +91,23 @@ def work(options: SweepOptions) -> None:
 
 
 def work_in_processes(options: SweepOptions, arguments: list[str]) -> int:
-    """Run this command in several processes and wait for all of them."""
+    """Run this command in several processes and wait for all of them; on Ctrl-C let them save, and return 130."""
     command = [sys.executable, "-m", "benchmarks.sweep", *arguments, "--jobs", "1"]
-    workers = [subprocess.Popen(command) for _ in range(options.jobs)]
-    try:
-        return max(worker.wait() for worker in workers)
-    except KeyboardInterrupt:  # the workers got Ctrl-C too: let them save
-        return max(worker.wait() for worker in workers)
+    # In groups of their own, so that whoever interrupts this process, by the terminal or not, each hears of it once.
+    workers = [subprocess.Popen(command, process_group=0) for _ in range(options.jobs)]
+    interrupted = False
+    while True:
+        try:
+            statuses = [worker.wait() for worker in workers]
+            break
+        except KeyboardInterrupt:
+            interrupted = True
+            for worker in workers:
+                if worker.poll() is None:
+                    worker.send_signal(signal.SIGINT)
+    if interrupted:
+        return 130
+    return max(status if status >= 0 else 128 - status for status in statuses)  # a signal as a shell reports it
 
 
 def work_on_ray(options: SweepOptions) -> None:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
-from benchmarks.cells import RESULTS, read_results
+from benchmarks.cells import AGAIN, RESULTS, read_results
+from napsp.storage.files import read_json
 
 SPEED, LEARNER = "rollout_speed_*.json", "learner_speed_*.json"
 
 
 def json_rows(pattern: str) -> list[dict[str, Any]]:
     """Rows that have a file each."""
-    return [json.loads(path.read_text()) for path in sorted(RESULTS.glob(pattern))]
+    return [read_json(path, AGAIN) for path in sorted(RESULTS.glob(pattern))]
 
 
 def speed_table() -> list[str]:

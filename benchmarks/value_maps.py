@@ -23,7 +23,7 @@ from napsp.policy.critic import Critic
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors
 from napsp.storage.record import save_figure
-from napsp.storage.resume import STATE_FILE
+from napsp.storage.state import STATE_FILE
 from planners.app.maze_map import BINS, at_rest, draw_field, steps_field
 
 

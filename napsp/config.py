@@ -73,6 +73,9 @@ class TrainConfig:
     """Policy updates per iteration."""
     batch_size: int = 256
     """Samples per gradient step, for every network."""
+    replay_capacity: int | None = None
+    """Episodes that the replay D keeps, the oldest go first; None keeps all. Counts stay as they are, but for
+    --rescale, which counts what D holds. Where there is a graph, D forgets when that is built anew."""
     hidden: tuple[int, ...] = (256, 256)
     """Widths of the hidden layers of every network."""
     rescale: bool = False
@@ -103,13 +106,17 @@ class TrainConfig:
         at_least_one = ("n_episodes", "n_warmup_episodes", "episodes_per_iteration", "batch_size")
         updates = ("n_temporal_updates", "n_triangular_updates", "n_policy_updates")
         check_ranges(self, seed=(0, 2**31 - 1), **dict.fromkeys(at_least_one, (1, MANY)))
-        check_ranges(self, **dict.fromkeys(updates, (0, MANY)))
+        check_ranges(self, replay_capacity=(1, MANY), **dict.fromkeys(updates, (0, MANY)))
         if self.jointly and self.policy.agent != "ddpg":
             raise UserError(f"method {self.method} has a deterministic policy of its own; leave out --policy.agent")
         if (self.method == "qrl") != (self.distance.head == "latent"):
             raise UserError("--distance.head latent belongs to --method qrl alone, and qrl has no other")
         if not self.hidden or min(self.hidden) < 1:
             raise UserError(f"hidden is {self.hidden}; give at least one width of at least 1")
+        if self.replay_capacity is not None and self.replay_capacity < self.n_warmup:
+            raise UserError(
+                f"replay_capacity is {self.replay_capacity}; it must hold the {self.n_warmup} warm-up episodes at least"
+            )
         if self.n_episodes <= self.n_warmup:
             raise UserError(f"n_episodes is {self.n_episodes}; it must exceed the {self.n_warmup} warm-up episodes")
 

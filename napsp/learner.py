@@ -90,6 +90,7 @@ class Learner:
         scaled_at: episodes in D when the input scaling was estimated.
         graph: shortest paths over D, for method plus; None where cells of achieved goals do not tell states apart.
         lasting: whether only arrivals that last bound a label of method plus.
+        warmup: the first episodes of D, which are kept whatever D forgets.
     """
 
     config: TrainConfig
@@ -103,6 +104,7 @@ class Learner:
     scaled_at: int = 0
     graph: ReplayGraph | None = None
     lasting: bool = False
+    warmup: Episodes | None = None
 
     # Within a phase of Algorithm 1 everything that labels depend on is frozen (d_old and the counts for d, d for
     # the policy), so a phase draws all its samples and computes their labels at once.
@@ -202,6 +204,7 @@ class Learner:
         if graph is None:
             return {}
         if iteration % self.config.graph.every == 0:
+            self.buffer.forget(self.config.replay_capacity)
             graph.build(self.buffer.episodes(), self.config.seed)
         return {"n_cells": float(graph.n_cells), "connected": graph.connected}
 
@@ -232,15 +235,18 @@ class Learner:
         return bool((self.buffer.episodes().endings == ARRIVED).any())
 
     def extend_buffer(self, recent: Episodes) -> None:
-        """Algorithm 1, line 22: D <- D + D_last.
+        """Algorithm 1, line 22: D <- D + D_last, of which the last ``replay_capacity`` episodes stay.
 
+        Where there is a graph, the others stay until it is built anew: it stands for all of D.
         With ``rescale`` the input scaling is estimated anew whenever D has doubled: random
         play says nothing about the spread of what only a skilled policy does, such as the
         height of a lifted box. The networks keep their functions, and D is counted again.
         """
         self.buffer.extend(recent)
-        if self.config.rescale and len(self.buffer) >= 2 * self.scaled_at:
-            self.scaled_at = len(self.buffer)
+        if self.graph is None:
+            self.buffer.forget(self.config.replay_capacity)
+        if self.config.rescale and self.buffer.n_seen >= 2 * self.scaled_at:
+            self.scaled_at = self.buffer.n_seen
             scaling = scaling_of(self.buffer.episodes())
             self.distance.rescale(scaling)
             self.agent.rescale(scaling)

@@ -66,4 +66,5 @@ def build_learner(
     buffer.extend(warmup)
     counts.update(warmup)
     graph = ReplayGraph(config.graph, sparse_reward) if obedient and config.graph.every else None
-    return Learner(config, distance, counts, agent, buffer, sparse_reward, rng, generator, len(warmup), graph, lasting)
+    parts = (config, distance, counts, agent, buffer, sparse_reward, rng, generator)
+    return Learner(*parts, len(warmup), graph, lasting, warmup)

@@ -13,7 +13,7 @@ import torch
 
 from napsp.config import TrainConfig, to_dict
 from napsp.data.collect import Actor, ExplorationConfig, ExploringActor, roll
-from napsp.data.episodes import BLOWN, Episodes, concatenate
+from napsp.data.episodes import Episodes, concatenate
 from napsp.data.explorers import Explorers
 from napsp.data.outcomes import evaluate
 from napsp.distance.graph import explained
@@ -27,21 +27,17 @@ from napsp.interruption import Interruption
 from napsp.learner import Learner
 from napsp.parts import build_learner
 from napsp.policy.greedy import GreedyPolicy
+from napsp.settings import as_flags
 from napsp.storage.checkpoint import MODEL_FILE, save_model, sizes_of
+from napsp.storage.files import sound
 from napsp.storage.progress import Progress, Row, read_rows
 from napsp.storage.record import RECORD_FILE, write_record
-from napsp.storage.resume import (
-    STATE_FILE,
-    explorers_of,
-    read_training,
-    restore_training,
-    save_training,
-    warmup_episodes,
-)
+from napsp.storage.resume import FIX, begun, explorers_of, read_training, restore_training, warmup_episodes
 from napsp.storage.revision import git_revision
+from napsp.storage.segments import remove_segments
+from napsp.storage.state import STATE_FILE, TrainingState, warmup_of
 from napsp.storage.trackers import open_trackers, require
 
-SIZED = ("observations", "actions", "desired_goals")
 EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
 
 
@@ -55,6 +51,7 @@ class Run:
     envs: list[Any]
     sizes: tuple[int, int, int]
     learner: Learner
+    state: TrainingState
     iteration: int
     progress: Progress
     seconds_before: float
@@ -73,36 +70,41 @@ class Run:
         require(trackers)
         git_revision()  # now, not when the first checkpoint is written
         envs = [make_goal_task(config.env, config.reached) for _ in range(config.episodes_per_iteration)]
-        state = folder / STATE_FILE
-        saved = read_training(state, config) if state.is_file() and not restart else None
-        if saved and sizes_of(envs[0]) != tuple(saved[0][f"buffer.{name}"].shape[-1] for name in SIZED):
+        path = folder / STATE_FILE
+        saved = read_training(path, config) if path.is_file() and not restart else None
+        if saved and saved[1]["inherited"]:
+            config = begun(config, saved[1])
+            print(f"this run began before an option existed and goes on as it was: {as_flags(saved[1]['inherited'])}")
+        if saved and list(sizes_of(envs[0])) != saved[1]["sizes"]:
             raise UserError(f"{folder} holds a run of another version of {config.env}; --restart begins anew")
         if not saved and not restart and (folder / MODEL_FILE).is_file():
             raise UserError(
                 f"{folder} holds a model and not the state of its training, so it cannot be continued; choose another "
                 "--out, or --restart to overwrite it"
             )
-        warmup = warmup_episodes(saved[0], config) if saved else None
+        warmup = warmup_episodes(folder, saved, config) if saved else None
         learner = new_learner(config, envs, warmup, execution)
         if restart:  # not before all settings have proved possible
             for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, "metrics.csv"):
                 (folder / name).unlink(missing_ok=True)
+            remove_segments(folder)
         iteration, rows, seconds, revisions = 0, [], 0.0, [git_revision()]
         if saved:
-            iteration = restore_training(learner, *saved)
-            rows = read_rows(folder / "metrics.csv", len(learner.buffer))
+            iteration = restore_training(folder, learner, saved)
+            rows = read_rows(folder / "metrics.csv", learner.buffer.n_seen)
             seconds = saved[1]["seconds"]
             revisions = list(dict.fromkeys([*saved[1]["revisions"], *revisions]))
-            print(f"continuing {folder} at episode {len(learner.buffer)}")
+            print(f"continuing {folder} at episode {learner.buffer.n_seen}")
         explorers = None
         if config.jointly and config.graph.every and learner.graph is None:
-            share = explained(learner.buffer.episodes()[: config.n_warmup])
+            share = explained(warmup_of(learner))
             print(f"actions explain {share:.2f} of how the achieved goal changes: neither graph nor explorers below "
                   f"{config.graph.control:g} (--graph.control 0 forces them)")  # fmt: skip
         if config.explore.explorers and learner.graph is not None:
             explorers = Explorers.of(config)
             if saved:
-                explorers.restore(explorers_of(saved[0], len(explorers.worlds)))
+                with sound(path, FIX):
+                    explorers.restore(explorers_of(saved[0], len(explorers.worlds)))
         folder.mkdir(parents=True, exist_ok=True)
         unit = goal_gap(envs[0].unwrapped, np.zeros(1))[1]
         seeing = open_trackers(trackers, folder, to_dict(config), bool(rows))
@@ -114,6 +116,7 @@ class Run:
             envs,
             sizes_of(envs[0]),
             learner,
+            TrainingState(folder, saved),
             iteration,
             progress,
             seconds,
@@ -147,7 +150,7 @@ class Run:
 
     def finish_iteration(self, iteration: int, metrics: Row) -> bool:
         """Evaluate and save when due; return True to stop."""
-        config, done = self.config, len(self.learner.buffer)
+        config, done = self.config, self.learner.buffer.n_seen
         seconds = self.seconds_before + time.monotonic() - self.started
         session = (time.monotonic() - self.started) / max(1, iteration + 1 - self.iteration)
         seconds_left = session * (self.n_iterations - iteration - 1)
@@ -155,7 +158,7 @@ class Run:
         last = iteration == self.n_iterations - 1
         due = done // config.evaluate.every > (done - config.episodes_per_iteration) // config.evaluate.every
         if due or last:
-            timing = {"seconds": seconds, "steps_per_second": self.learner.buffer.episodes().n_steps / seconds}
+            timing = {"seconds": seconds, "steps_per_second": self.learner.buffer.n_steps / seconds}
             timing |= {"minutes_left": seconds_left / 60}
             row: Row = {"episodes": float(done), **self._evaluate(), **metrics, **self._blow_ups(), **timing}
             self.progress.report(row)
@@ -190,20 +193,23 @@ class Run:
 
     def _blow_ups(self) -> Row:
         """How many of the episodes so far ended because the simulation blew up, if any did; also said."""
-        n = int((self.learner.buffer.episodes().endings == BLOWN).sum())
+        n = self.learner.buffer.n_blown
         if not n:
             return {}
-        print(f"the simulation blew up in {n} of {len(self.learner.buffer)} episodes, which end before", flush=True)
+        print(f"the simulation blew up in {n} of {self.learner.buffer.n_seen} episodes, which end before", flush=True)
         return {"blow_ups": float(n)}
 
     def _save(self, iteration: int, seconds: float) -> None:
-        learner = self.learner
         places = self.explorers.states() if self.explorers else []
-        save_training(self.folder / STATE_FILE, learner, iteration, seconds, self.revisions, places)
+        self.state.save(self.learner, iteration, seconds, self.revisions, places)
+        self._save_model()
+
+    def _save_model(self) -> None:
+        learner = self.learner
         distance, visits = None, None
         if self.config.learns_distance:
             distance, visits = learner.distance.trusted, learner.counts.visit_counts
-        path, episodes = self.folder / MODEL_FILE, len(learner.buffer)
+        path, episodes = self.folder / MODEL_FILE, learner.buffer.n_seen
         save_model(
             path, learner.agent.policy, distance, self.config, self.sizes, episodes, visits, own_box(self.envs[0])
         )
@@ -229,6 +235,7 @@ class Run:
             return
         if not self.progress.rows:
             raise UserError(f"{self.folder} has lost the metrics.csv of its finished run; begin anew with --restart")
+        self._save_model()  # a kill after the last state may have left the one before
         write_record(self.folder, self.config, self.progress.rows, self.revisions)
 
 

@@ -23,6 +23,7 @@ from napsp.renamed import FLAGS
 from napsp.run import Run
 from napsp.settings import flat, refuse_old_flags, to_dict
 from napsp.storage.checkpoint import load_model
+from napsp.storage.lock import only_writer
 from napsp.storage.progress import Row
 from napsp.storage.record import RECORD_FILE
 from napsp.storage.trackers import TRACKERS
@@ -42,9 +43,21 @@ def train(
     handed each new row of ``metrics.csv``, and ends the run, saved, by returning False. ``trackers`` are names of
     :data:`napsp.storage.trackers.TRACKERS`. Returns all rows.
     """
-    run = Run.open(config, folder, restart, trackers, execution or Execution())
+    with only_writer(folder):
+        return _train(config, folder, restart, trackers, execution or Execution(), on_evaluation)
+
+
+def _train(
+    config: TrainConfig,
+    folder: Path,
+    restart: bool,
+    trackers: Sequence[str],
+    execution: Execution,
+    on_evaluation: Callable[[Row], Any] | None,
+) -> list[Row]:
+    run = Run.open(config, folder, restart, trackers, execution)
     run.on_evaluation = on_evaluation
-    learner = run.learner
+    learner, config = run.learner, run.config
     try:
         for iteration in range(run.iteration, run.n_iterations):  # Algorithm 1, line 1
             recent = run.collect(learner.agent.policy)  # 3: D_last

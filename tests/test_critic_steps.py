@@ -9,7 +9,7 @@ from benchmarks.critic_steps import critic_steps
 from napsp.errors import UserError
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors, write_tensors
-from napsp.storage.resume import STATE_FILE
+from napsp.storage.state import STATE_FILE
 from napsp.train import train
 
 

@@ -12,7 +12,7 @@ from napsp.distance.counts import uncertainty
 from napsp.errors import UserError
 from napsp.storage.checkpoint import MODEL_FILE, load_model, shipped_model
 from napsp.storage.files import read_tensors, write_tensors
-from napsp.storage.resume import STATE_FILE
+from napsp.storage.resume import stored_episodes, stored_tables
 from napsp.train import train
 from planners.app.cli import run
 from planners.app.config import PlanConfig
@@ -32,18 +32,18 @@ def trained(tmp_path_factory):
 
 def visited(folder, n=200):
     """Some states, achieved goals and actions of the run's own episodes, which were counted."""
-    tensors, _ = read_tensors(folder / STATE_FILE, "training state")
-    states = tensors["buffer.observations"][:, :-1].reshape(-1, 4)[:n].numpy()
-    return states, states[:, :2], tensors["buffer.actions"].reshape(-1, 2)[:n].numpy()
+    episodes = stored_episodes(folder)
+    states = episodes.observations[:, :-1].reshape(-1, 4)[:n].copy()
+    return states, states[:, :2], episodes.actions.reshape(-1, 2)[:n]
 
 
 def test_a_model_file_keeps_the_visit_counts(trained):
     states, _, actions = visited(trained["a"])
-    tensors, _ = read_tensors(trained["a"] / STATE_FILE, "training state")
+    counted = stored_tables(trained["a"])["visits"]
     model = load_model(trained["a"], "point_maze")
     assert model.visits.table.counts.sum() == 16 * 50, "every step of every episode"
-    np.testing.assert_array_equal(model.visits.table.keys, tensors["visits.keys"].numpy())
-    np.testing.assert_array_equal(model.visits.table.counts, tensors["visits.counts"].numpy())
+    np.testing.assert_array_equal(model.visits.table.keys, counted.keys)
+    np.testing.assert_array_equal(model.visits.table.counts, counted.counts)
     assert (model.visits(states, actions) >= 1).all(), "a key moved"
     assert read_tensors(trained["a"] / MODEL_FILE, "model")[0]["visits.keys"].dtype == torch.int32
     assert load_model(trained["sparse"], "point_maze").visits is None

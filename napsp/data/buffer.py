@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from napsp.data.episodes import FIELDS, LOST, Episodes, SparseReward, draw_steps
+from napsp.data.episodes import BLOWN, FIELDS, LOST, Episodes, SparseReward, draw_steps
 
 
 @dataclass(frozen=True)
@@ -34,33 +34,53 @@ class Triples:
 
 
 class EpisodeBuffer:
-    """D: all episodes so far, in arrays that grow by doubling."""
+    """D: all episodes so far, or the last ones of them, in order, in arrays that grow by doubling.
+
+    Attributes:
+        n_seen: episodes that ever were in D.
+        n_steps: steps of them.
+        n_blown: those that ended because the simulation had blown up.
+    """
 
     def __init__(self) -> None:
         self._arrays: dict[str, np.ndarray] = {}
-        self._size = 0
+        self._start, self._end = 0, 0
+        self.n_seen, self.n_steps, self.n_blown = 0, 0, 0
 
     def __len__(self) -> int:
-        return self._size
+        return self._end - self._start
 
     def extend(self, episodes: Episodes) -> None:
         """D <- D + D_last (Algorithm 1, line 22)."""
-        end = self._size + len(episodes)
+        if not self._arrays or self._end + len(episodes) > len(self._arrays["lengths"]):
+            self.reserve(max(len(self) + len(episodes), 2 * len(self), 64), episodes)
+        end = self._end + len(episodes)
         for name in FIELDS:
-            new = getattr(episodes, name)
-            stored = self._arrays.get(name)
-            if stored is None or end > len(stored):
-                grown = np.empty((max(end, 2 * self._size, 64), *new.shape[1:]), new.dtype)
-                if stored is not None:
-                    grown[: self._size] = stored[: self._size]
-                self._arrays[name] = stored = grown
-            stored[self._size : end] = new
-        self._size = end
+            self._arrays[name][self._end : end] = getattr(episodes, name)
+        self._end = end
+        self.n_seen += len(episodes)
+        self.n_steps += episodes.n_steps
+        self.n_blown += int((episodes.endings == BLOWN).sum())
+
+    def reserve(self, n: int, like: Episodes) -> None:
+        """Move what is stored into arrays for n episodes of the shapes of ``like``."""
+        for name in FIELDS:  # one at a time: no more than one of them is there twice
+            new = getattr(like, name)
+            moved = np.empty((n, *new.shape[1:]), new.dtype)
+            if name in self._arrays:
+                moved[: len(self)] = self._arrays[name][self._start : self._end]
+            self._arrays[name] = moved
+        self._start, self._end = 0, len(self)
+
+    def forget(self, capacity: int | None) -> None:
+        """Let the oldest episodes go until ``capacity`` are left; None keeps all."""
+        if capacity is not None:
+            self._start = max(self._start, self._end - capacity)
 
     def episodes(self, last: int | None = None) -> Episodes:
         """All stored episodes, or the ``last`` most recent ones (views, not copies)."""
-        start = 0 if last is None else max(0, self._size - last)
-        return Episodes(**{name: self._arrays[name][start : self._size] for name in FIELDS})
+        start = self._start if last is None else max(self._start, self._end - last)
+        return Episodes(**{name: self._arrays[name][start : self._end] for name in FIELDS})
 
 
 def sample_pairs(

@@ -91,6 +91,8 @@ class Ongoing(gymnasium.Wrapper):
         self.env.reset(seed=0)
         put_state(world.dynamics.bind(world.data), world.model, world.data, state["physics"])
         self.last = {name: value for name, value in state.items() if name not in ("n_episodes", "physics")}
+        if getattr(getattr(world, "goal", None), "shape", None) == self.last["desired_goal"].shape:
+            world.goal = self.last["desired_goal"].copy()  # the task's own, as its reset had drawn it
 
 
 class RoleActor:
@@ -138,14 +140,14 @@ class Explorers:
     def join(self, envs: list[Any], actor: Actor, learner: Learner) -> tuple[list[Any], Actor]:
         """Environments and actor of one iteration."""
         n, n_warmup = len(envs), learner.config.n_warmup
-        done, share = len(learner.buffer) - n_warmup, self._config.explorers
+        done, share = learner.buffer.n_seen - n_warmup, self._config.explorers
         due = range(int(done * share), int((done + n) * share))  # of all explorers' episodes, by number
         rng, graph = learner.rng, learner.graph
         ready = graph is not None and graph.n_cells > 0
-        if not due or (not ready and len(learner.buffer) > self._config.patience):
+        if not due or (not ready and learner.buffer.n_seen > self._config.patience):
             return envs, actor
         chosen = [(self.worlds[i % len(self.worlds)], ROLES[i % len(self.worlds) % len(ROLES)]) for i in due]
-        wanted = learner.buffer.episodes().desired_goals[:n_warmup]
+        wanted = (learner.warmup or learner.buffer.episodes()).desired_goals[:n_warmup]
         for world, role in chosen:
             world.goal = wanted[rng.integers(len(wanted))].astype(np.float64)
             if role == "seek" and graph is not None and ready:

@@ -71,15 +71,31 @@ class KeyCounts:
     Args:
         keys: ascending, ``(K,)``.
         counts: of the keys, ``(K,)``.
+
+    Attributes:
+        news: what was added since :meth:`watch`; None before, and once all was forgotten.
     """
 
     def __init__(self, keys: np.ndarray | None = None, counts: np.ndarray | None = None) -> None:
         self.keys = np.empty(0, np.int64) if keys is None else keys
         self.counts = np.empty(0, np.int64) if counts is None else counts
+        self.news: KeyCounts | None = None
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def watch(self) -> None:
+        """Gather what is added from now on."""
+        self.news = KeyCounts()
 
     def add(self, keys: np.ndarray) -> None:
         """Count every key of ``(B,)`` once."""
-        keys, counts = np.unique(keys, return_counts=True)
+        self.merge(*np.unique(keys, return_counts=True))
+
+    def merge(self, keys: np.ndarray, counts: np.ndarray) -> None:
+        """Count ascending keys ``(B,)`` so many times each."""
+        if self.news is not None:
+            self.news.merge(keys, counts)
         places = np.searchsorted(self.keys, keys)
         known = np.zeros(len(keys), bool)
         inside = places < len(self.keys)
@@ -97,7 +113,7 @@ class KeyCounts:
 
     def clear(self) -> None:
         """Forget everything."""
-        self.keys, self.counts = np.empty(0, np.int64), np.empty(0, np.int64)
+        self.keys, self.counts, self.news = np.empty(0, np.int64), np.empty(0, np.int64), None
 
 
 class SimHash:

@@ -17,7 +17,7 @@ from napsp.envs import canonical_name
 from napsp.envs.goal_task import own_box
 from napsp.errors import UserError, close
 from napsp.policy.actors import DeterministicPolicy, GaussianPolicy, Policy
-from napsp.storage.files import FORMAT, OLDER, read_tensors, write_tensors
+from napsp.storage.files import FORMAT, OLDER, read_tensors, sound, write_tensors
 from napsp.storage.older import todays
 from napsp.storage.revision import git_revision
 
@@ -56,6 +56,8 @@ class Model:
                 f"{self.config.env} has {found} now; train it again"
             )
         box, now = self.header.get("action_box"), own_box(env)
+        if box and not (isinstance(box, list) and len(box) == 2):
+            raise UserError("this checkpoint does not say between which bounds its actions lie; train it again")
         if box and now and box != now:
             raise UserError(
                 f"this checkpoint was trained with actions from {box[0]} to {box[1]}, and {self.config.env} takes "
@@ -115,22 +117,51 @@ def load_model(path: str | Path, env: str | None = None) -> Model:
     if path.is_dir():
         path = path / MODEL_FILE
     tensors, header = read_tensors(path, "model")
-    trained_on = header["config"]["env"]  # before anything else: a task of one's own may not be at hand any more
+    with sound(path, FIX):
+        trained_on = str(header["config"]["env"])  # before all else: a task of one's own may not be at hand any more
     if env is not None and trained_on != canonical_name(env):
         raise UserError(f"{path} was trained on {trained_on}, not on {env}; give a checkpoint of {env}")
-    tensors, header = todays(tensors, header)
-    config = from_dict(header["config"])
-    sizes, length = _sizes_and_length(header, config, path)
+    with sound(path, FIX):
+        tensors, header = todays(tensors, {"episodes": 0, "revision": "unknown", **header})
+        config = from_dict(header["config"])
+        sizes, length = _sizes_and_length(header, config, path)
+        _check_networks(tensors, sizes, length, config, path)
+        policy, distance = _networks(sizes, length, config)
+        has_distance = any(name.startswith("distance.") for name in tensors)
+        _load(policy, "policy.", tensors, path)
+        if has_distance:
+            _load(distance, "distance.", tensors, path)
+        visits = _load_visits(tensors, sizes, config.counts.visit_bits, policy, path)
+    return Model(distance if has_distance else None, policy, config, header, visits)
+
+
+FIX = "copy or train it again"
+
+
+def _networks(sizes: tuple[int, int, int], length: int, config: TrainConfig) -> tuple[Policy, DistanceNetwork]:
     policy: Policy = GaussianPolicy(sizes, config.hidden)
     if config.policy.agent == "ddpg":
         policy = DeterministicPolicy(sizes, config.hidden, config.policy.action_noise)
-    distance = DistanceNetwork(sizes, config.hidden, length, config.distance)
-    has_distance = any(name.startswith("distance.") for name in tensors)
-    _load(policy, "policy.", tensors, path)
-    if has_distance:
-        _load(distance, "distance.", tensors, path)
-    visits = _load_visits(tensors, sizes, config.counts.visit_bits, policy, path)
-    return Model(distance if has_distance else None, policy, config, header, visits)
+    return policy, DistanceNetwork(sizes, config.hidden, length, config.distance)
+
+
+def _check_networks(
+    tensors: dict[str, Tensor], sizes: tuple[int, int, int], length: int, config: TrainConfig, path: Path
+) -> None:
+    """Refuse a header that describes other networks than those in the file, before memory is taken for them."""
+    fits = len(config.hidden) * config.distance.n_members <= len(tensors)
+    if fits:
+        with torch.device("meta"):
+            networks = dict(zip(("policy", "distance"), _networks(sizes, length, config), strict=True))
+        for prefix, network in networks.items():
+            described = {f"{prefix}.{name}": value for name, value in network.state_dict().items()}
+            held = {name: value for name, value in tensors.items() if name.startswith(f"{prefix}.")}
+            if prefix == "policy" or held:
+                fits = fits and described.keys() == held.keys()
+                fits = fits and all(held[name].shape == value.shape for name, value in described.items())
+                fits = fits and all(value.dtype == torch.float32 for value in held.values())
+    if not fits:
+        raise UserError(f"{path} does not hold the network its header describes; train it again")
 
 
 COUNT_TABLE = ("projection", "keys", "counts")
@@ -171,10 +202,7 @@ def _load_visits(
 
 def _load(network: torch.nn.Module, prefix: str, tensors: dict[str, Tensor], path: Path) -> None:
     weights = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
-    try:
-        network.load_state_dict(weights)
-    except RuntimeError:
-        raise UserError(f"{path} does not hold the network its header describes; train it again") from None
+    network.load_state_dict(weights)
     if not all(torch.isfinite(value).all() for value in weights.values()):
         raise UserError(f"{path} holds weights that are not finite; train it again")
     network.eval().requires_grad_(False)

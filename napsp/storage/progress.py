@@ -111,5 +111,5 @@ def read_rows(path: Path, up_to_episode: float) -> list[Row]:
         with open(path, newline="") as file:
             rows = [{k: float(v) for k, v in row.items() if v} for row in csv.DictReader(file, strict=True)]
         return [row for row in rows if row["episodes"] <= up_to_episode]
-    except (ValueError, KeyError, TypeError, csv.Error) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, csv.Error) as error:
         raise UserError(f"{path} is damaged ({error!r}); put back a copy, or begin anew with --restart") from None

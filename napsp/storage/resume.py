@@ -1,8 +1,8 @@
-"""The whole state of a training run on disk, so that a killed run goes on where it was."""
+"""Reading the state of a training run, so that it goes on where it was."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,49 +10,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from napsp.config import TrainConfig, from_dict, to_dict
-from napsp.data.episodes import FIELDS, Episodes
+from napsp.config import TrainConfig, from_dict
+from napsp.data.episodes import FIELDS, Episodes, concatenate
+from napsp.distance.counts import KeyCounts
 from napsp.errors import UserError
 from napsp.learner import Learner
-from napsp.settings import differences
-from napsp.storage.files import FORMAT, read_tensors, write_tensors
+from napsp.settings import changed, differences
+from napsp.storage.files import OLDER, read_tensors, sound
+from napsp.storage.older import todays_state
+from napsp.storage.segments import FOLDER, checked_table, episodes_of, listed, read_episodes, read_segment, refill
+from napsp.storage.state import STATE_FILE, TABLE, Stored, agent_tensors, hashes_of, optimizers_of, tables_of
 
-STATE_FILE = "training_state.safetensors"
-
-
-def save_training(
-    path: Path,
-    learner: Learner,
-    iteration: int,
-    seconds: float,
-    revisions: list[str],
-    explorers: Sequence[Mapping[str, np.ndarray]] = (),
-) -> None:
-    """Write networks, optimisers, counts, D, random states and where explorers are after ``iteration`` iterations."""
-    tensors: dict[str, Tensor] = {"torch_generator": learner.generator.get_state(), **_agent_tensors(learner)}
-    for name, optimizer in _optimizers(learner).items():
-        for i, moments in optimizer.state_dict()["state"].items():
-            tensors |= {f"{name}.{i}.{key}": value for key, value in moments.items()}
-    for name, array in _arrays(learner).items():
-        tensors[name] = torch.from_numpy(np.ascontiguousarray(array))
-    for i, place in enumerate(explorers):
-        tensors |= {f"explorer.{i}.{name}": torch.from_numpy(np.array(values)) for name, values in place.items()}
-    header = {
-        "format": FORMAT,
-        "kind": "training state",
-        "config": to_dict(learner.config),
-        "episode_length": learner.config.episode_length,
-        "iteration": iteration,
-        "seconds": seconds,
-        "scaled_at": learner.scaled_at,
-        "graph_built_at": learner.graph.built_at if learner.graph else 0,
-        "revisions": revisions,
-        "rng": learner.rng.bit_generator.state,
-    }
-    write_tensors(path, tensors, header)
+FIX = "put back a copy, or begin anew with --restart"
 
 
-def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_training(path: Path, config: TrainConfig) -> Stored:
     """Read a training state and check that it belongs to ``config``.
 
     The number of episodes may differ: a finished run can be prolonged.
@@ -62,15 +34,19 @@ def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], d
     """
     try:
         tensors, header = read_tensors(path, "training state")
-        if header["format"] != FORMAT or "episode_length" not in header:
+        if header["format"] == OLDER or "episode_length" not in header:
             raise UserError(f"{path} was written by an older version of napsp; finish it there")
-        saved = from_dict(header["config"])
+        with sound(path, FIX):
+            tensors, header = todays_state(tensors, header)
+            different = {"env": config.env}
+            if header["config"]["env"] == config.env:  # another one is not to be imported
+                different = differences(begun(config, header), from_dict(header["config"]))
     except UserError as error:
         raise UserError(f"{error}, or begin anew with --restart") from None
-    different = sorted(name for name in differences(config, saved) if name not in ("n_episodes", "recipe"))
-    if different:
+    named = sorted(name for name in different if name not in ("n_episodes", "recipe"))
+    if named:
         raise UserError(
-            f"{path.parent} holds a run with other settings ({', '.join(different)}); "
+            f"{path.parent} holds a run with other settings ({', '.join(named)}); "
             "choose another --out, or --restart to overwrite it"
         )
     if header["episode_length"] != config.episode_length:  # D, and all distances, are in units of it
@@ -81,36 +57,104 @@ def read_training(path: Path, config: TrainConfig) -> tuple[dict[str, Tensor], d
     return tensors, header
 
 
-def warmup_episodes(tensors: dict[str, Tensor], config: TrainConfig) -> Episodes:
-    """The warm-up episodes: the first ones of the stored D."""
-    return Episodes(**{name: tensors[f"buffer.{name}"][: config.n_warmup].numpy() for name in FIELDS})
+def begun(config: TrainConfig, header: Mapping[str, Any]) -> TrainConfig:
+    """What a run goes on with that began before an option existed: its way of before."""
+    return changed(config, header["inherited"])
 
 
-def restore_training(learner: Learner, tensors: dict[str, Tensor], header: dict[str, Any]) -> int:
-    """Put ``learner`` into the stored state; return the number of iterations done."""
-    with torch.no_grad():
-        for name, value in _agent_tensors(learner).items():
-            value.copy_(tensors[name])
-    for name, optimizer in _optimizers(learner).items():
-        state: dict[int, dict[str, Tensor]] = {}
-        for key, value in tensors.items():
-            if key.startswith(f"{name}."):
-                i, moment = key.removeprefix(f"{name}.").split(".")
-                state.setdefault(int(i), {})[moment] = value
-        optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-    stored = Episodes(**{name: tensors[f"buffer.{name}"].numpy() for name in FIELDS})
-    n_missing = len(stored) - len(learner.buffer)
-    if n_missing:
-        learner.buffer.extend(stored[-n_missing:])
-    for name, holder in _counts(learner).items():
-        for key in holder[1]:
-            setattr(holder[0], key, tensors[f"{name}.{key}"].numpy())
-    learner.counts.scaling, learner.scaled_at = learner.distance.distance.scaling.numbers(), header["scaled_at"]
-    if learner.graph is not None and header["graph_built_at"]:
-        learner.graph.build(learner.buffer.episodes()[: header["graph_built_at"]], learner.config.seed)
-    learner.generator.set_state(tensors["torch_generator"])
-    learner.rng.bit_generator.state = header["rng"]
-    return int(header["iteration"])
+def stored_episodes(folder: Path) -> Episodes:
+    """D of a run, from its state.
+
+    Raises:
+        UserError: there is no state, or it is damaged.
+    """
+    path = folder / STATE_FILE
+    tensors, header = read_tensors(path, "training state")
+    with sound(path, FIX):
+        tensors, header = todays_state(tensors, header)
+        if "buffer.actions" in tensors:
+            return _episodes_within(tensors, path)
+        span = header["replay"]["start"], header["replay"]["end"]
+        return concatenate(list(read_episodes(folder, listed(header["episodes"], "episodes", path), *span)))
+
+
+def stored_tables(folder: Path) -> dict[str, KeyCounts]:
+    """The counts of a run by name, from its state.
+
+    Raises:
+        UserError: there is no state, or it is damaged.
+    """
+    path = folder / STATE_FILE
+    tensors, header = read_tensors(path, "training state")
+    with sound(path, FIX):
+        stored = todays_state(tensors, header)
+        if "buffer.actions" in tensors:
+            names = [name.removesuffix(".keys") for name in tensors if name.endswith(".keys")]
+        else:
+            first = read_segment(folder, listed(stored[1]["counts"], "counts", path)[0])
+            names = [name.removesuffix(".keys") for name in first if name.endswith(".keys")]
+        return _tables(folder, names, stored)
+
+
+def warmup_episodes(folder: Path, stored: Stored, config: TrainConfig) -> Episodes:
+    """The warm-up episodes of a run, whether or not D still has them.
+
+    Raises:
+        UserError: they are damaged, or of other sizes than the state says.
+    """
+    (tensors, header), path = stored, folder / STATE_FILE
+    with sound(path, FIX):
+        if "buffer.actions" in tensors:
+            found = _episodes_within(tensors, path)[: config.n_warmup]
+        else:
+            segments = listed(header["episodes"], "episodes", path)
+            found = concatenate(list(read_episodes(folder, segments, 0, config.n_warmup)))
+        sizes = [part.shape[-1] for part in (found.observations, found.actions, found.desired_goals)]
+        if sizes != header["sizes"] or found.actions.shape[1] != config.episode_length or len(found) != config.n_warmup:
+            raise ValueError("episodes of other sizes")
+    return found
+
+
+def restore_training(folder: Path, learner: Learner, stored: Stored) -> int:
+    """Put ``learner`` into the stored state; return the number of iterations done.
+
+    Raises:
+        UserError: the state is not that of such a learner, or has lost some of its files.
+    """
+    (tensors, header), path, config = stored, folder / STATE_FILE, learner.config
+    with sound(path, FIX):
+        with torch.no_grad():
+            for name, value in agent_tensors(learner).items():
+                _check(tensors[name], value, name)
+                value.copy_(tensors[name])
+        for name, optimizer in optimizers_of(learner).items():
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": _moments(tensors, name, optimizer)})
+        for name, (holder, keys) in hashes_of(learner).items():
+            for key in keys:
+                _check(tensors[f"{name}.{key}"], torch.from_numpy(getattr(holder, key)), name)
+                setattr(holder, key, tensors[f"{name}.{key}"].numpy())
+        for name, table in _tables(folder, tables_of(learner), stored).items():
+            own = tables_of(learner)[name]
+            own.keys, own.counts = table.keys, table.counts
+            if "buffer.actions" not in tensors:  # all that is there is in files
+                own.watch()
+        learner.counts.scaling = learner.distance.distance.scaling.numbers()
+        learner.scaled_at, iteration, replay = header["scaled_at"], header["iteration"], header["replay"]
+        if replay["end"] != config.n_warmup + iteration * config.episodes_per_iteration:
+            raise ValueError(f"{replay['end']} episodes after {iteration} iterations")
+        if "buffer.actions" in tensors:
+            learner.buffer.extend(_episodes_within(tensors, path)[config.n_warmup :])
+        else:
+            segments = listed(header["episodes"], "episodes", path)
+            refill(folder, segments, replay["start"], replay["end"], learner.buffer)
+        learner.buffer.n_seen, learner.buffer.n_steps, learner.buffer.n_blown = _totals(replay)
+        if learner.graph is not None and header["graph_built_at"]:
+            learner.graph.build(learner.buffer.episodes()[: header["graph_built_at"]], config.seed)
+        learner.generator.set_state(tensors["torch_generator"])
+        learner.rng.bit_generator.state = header["rng"]
+        if not (isinstance(header["seconds"], float) and all(isinstance(word, str) for word in header["revisions"])):
+            raise TypeError("seconds or revisions")
+    return iteration
 
 
 def explorers_of(tensors: dict[str, Tensor], n: int) -> list[dict[str, np.ndarray]]:
@@ -119,37 +163,45 @@ def explorers_of(tensors: dict[str, Tensor], n: int) -> list[dict[str, np.ndarra
     return [{k.removeprefix(p): v.numpy() for k, v in tensors.items() if k.startswith(p)} for p in prefixes]
 
 
-def _networks(learner: Learner) -> dict[str, torch.nn.Module]:
-    return {**learner.distance.networks(), **learner.agent.networks()}
+def _check(found: Tensor, own: Tensor, name: str) -> None:
+    if found.shape != own.shape or found.dtype != own.dtype:
+        raise ValueError(f"{name} is {tuple(found.shape)} {found.dtype}, and should be {tuple(own.shape)} {own.dtype}")
 
 
-def _optimizers(learner: Learner) -> dict[str, torch.optim.Adam]:
-    return {"distance_optimizer": learner.distance.optimizer, **learner.agent.optimizers}
-
-
-def _agent_tensors(learner: Learner) -> dict[str, Tensor]:
-    """All numbers of the networks, and what else the agent learns."""
-    tensors = {f"{n}.{key}": value for n, net in _networks(learner).items() for key, value in net.state_dict().items()}
-    return tensors | {f"agent.{name}": value for name, value in learner.agent.tensors().items()}
-
-
-def _counts(learner: Learner) -> dict[str, tuple[Any, tuple[str, ...]]]:
-    """What holds the counts and their hashes, by name, with the arrays of each."""
-    counts, found = learner.counts, {}
-    found["visits.hash"], found["visits"] = (counts.visit_hash, ("projection",)), (counts.visit_table, TABLE)
-    for i, reached in enumerate(counts.reached_tables):
-        found[f"reached.{i}.pair"] = reached.pair, ("projection",)
-        found[f"reached.{i}"] = reached, ("shift", "multipliers")
-        found[f"reached.{i}.table"] = reached.table, TABLE
+def _moments(tensors: dict[str, Tensor], name: str, optimizer: torch.optim.Adam) -> dict[int, dict[str, Tensor]]:
+    """What Adam knows of each of its parameters, by their number."""
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    found: dict[int, dict[str, Tensor]] = {}
+    for i, parameter in enumerate(parameters):
+        if f"{name}.{i}.step" in tensors:  # none before the first update
+            found[i] = {key: tensors[f"{name}.{i}.{key}"] for key in ("step", "exp_avg", "exp_avg_sq")}
+            for key in ("exp_avg", "exp_avg_sq"):
+                _check(found[i][key], parameter, f"{name}.{i}.{key}")
+            _check(found[i]["step"], torch.zeros((), dtype=torch.float32), f"{name}.{i}.step")
     return found
 
 
-TABLE = ("keys", "counts")
+def _totals(replay: Mapping[str, int]) -> tuple[int, int, int]:
+    totals = replay["end"], replay["steps"], replay["blown"]
+    if not all(type(number) is int and number >= 0 for number in totals):
+        raise ValueError(f"totals are {totals}")
+    return totals
 
 
-def _arrays(learner: Learner) -> dict[str, np.ndarray]:
-    episodes = learner.buffer.episodes()
-    arrays = {f"buffer.{name}": getattr(episodes, name) for name in FIELDS}
-    for name, (holder, keys) in _counts(learner).items():
-        arrays |= {f"{name}.{key}": getattr(holder, key) for key in keys}
-    return arrays
+def _tables(folder: Path, names: Iterable[str], stored: Stored) -> dict[str, KeyCounts]:
+    """Counts by name: what every save added."""
+    (tensors, header), path = stored, folder / STATE_FILE
+    if "buffer.actions" in tensors:
+        return {name: checked_table(*(tensors[f"{name}.{part}"].numpy() for part in TABLE), path) for name in names}
+    found = {name: KeyCounts() for name in names}
+    for segment in listed(header["counts"], "counts", path):
+        arrays = read_segment(folder, segment)
+        for name, table in found.items():
+            added = checked_table(*(arrays[f"{name}.{part}"] for part in TABLE), folder / FOLDER / segment.name)
+            table.merge(added.keys, added.counts)
+    return found
+
+
+def _episodes_within(tensors: dict[str, Tensor], path: Path) -> Episodes:
+    """D of a state of before, which held all of it."""
+    return episodes_of({name: tensors[f"buffer.{name}"].numpy() for name in FIELDS}, path)

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from napsp.errors import UserError
-from napsp.storage.files import write_json
+from napsp.storage.files import read_json, write_json
 
 OWNER, SUMMARY = "configuration.json", "summary.json"
 REPLACED = ("video.mp4", "distance_field.png", "episodes.csv", "steps.csv", "steps.png", "distance_to_go.png", SUMMARY)
 """What a command writes beside it."""
 TOLD_APART = ("env", "planner", "cost", "seed", "differences", "checkpoint", "ensemble")
+
+FIX = "choose another --out"
 
 
 def identity(described: dict[str, Any]) -> dict[str, Any]:
@@ -40,10 +42,11 @@ def claim(folder: Path, described: dict[str, Any]) -> str | None:
     asked = json.loads(json.dumps(identity(described)))
     if not (folder / OWNER).is_file():
         _inherit(folder, asked)
-    held = _read(folder / OWNER)
+    held = read_json(folder / OWNER, FIX)
     different = [name for name in TOLD_APART if held.get(name) != asked[name]]
     if "differences" in different:
-        own, others = asked["differences"], held.get("differences") or {}
+        own, others = asked["differences"], held.get("differences")
+        others = others if isinstance(others, dict) else {}
         named = sorted(name for name in own.keys() | others.keys() if own.get(name) != others.get(name))
         different = [name for name in different if name != "differences"] + named
     if different:
@@ -66,7 +69,7 @@ def _inherit(folder: Path, asked: dict[str, Any]) -> None:
     owner = asked
     if SUMMARY in found:
         try:
-            owner = identity(_read(folder / SUMMARY))
+            owner = identity(read_json(folder / SUMMARY, FIX))
         except (KeyError, TypeError, AttributeError):
             raise UserError(f"{folder} holds plans of an older version; choose another --out") from None
     elif found:
@@ -81,10 +84,3 @@ def _inherit(folder: Path, asked: dict[str, Any]) -> None:
         os.replace(own, folder / OWNER)
     finally:
         own.unlink(missing_ok=True)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return dict(json.loads(path.read_text()))
-    except (ValueError, TypeError):
-        raise UserError(f"{path} is damaged; choose another --out") from None
