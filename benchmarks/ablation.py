@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, BusyError, as_text, cell_name, published, replace_results, trained, usual_recipe
+from benchmarks.cells import RESULTS, as_text, cell_name, published, replace_results, trained, usual_recipe
 from benchmarks.command import read_options
 from benchmarks.distance_accuracy import KEY, AccuracyOptions, figures_of, learned_steps
 from benchmarks.maze_probe import maze_probe
@@ -23,6 +23,7 @@ from napsp.config import TrainConfig, preset
 from napsp.errors import UserError, run_command
 from napsp.execution import Execution
 from napsp.storage.checkpoint import load_model
+from napsp.storage.lock import BusyError
 from napsp.storage.revision import git_revision
 
 WHOLE = "nothing"

@@ -18,13 +18,14 @@ from typing import Any, Literal
 
 import torch
 
-from benchmarks.cells import ROWS, BusyError, cell_name, published, trained, usual_recipe
+from benchmarks.cells import ROWS, cell_name, published, trained, usual_recipe
 from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.config import METHODS, TrainConfig, preset
 from napsp.envs.cards import suite
 from napsp.errors import UserError, run_command
 from napsp.execution import Execution
+from napsp.storage.lock import BusyError
 
 
 @dataclass(frozen=True)

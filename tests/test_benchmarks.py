@@ -18,6 +18,7 @@ from napsp.envs.cards import CARDS
 from napsp.execution import Execution
 from napsp.settings import changed, digest, flat
 from napsp.statistics import describe, interquartile_mean, paired_difference, paired_proportions
+from napsp.storage.lock import BusyError
 
 ROOT = Path(__file__).parents[1]
 
@@ -73,7 +74,7 @@ def test_a_cell_in_work_elsewhere_is_left_out(workplace, capsys):
     holder = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     try:
         assert holder.stdout.readline() == "held\n"
-        with pytest.raises(cells.BusyError):
+        with pytest.raises(BusyError):
             cells.trained(first, wait=False)
         sweep.work(sweep.SweepOptions(envs=("point_maze",), methods=("sparse", "ours"), seeds=1))
         assert "in work elsewhere" in capsys.readouterr().out
