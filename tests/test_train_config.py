@@ -59,7 +59,7 @@ def test_old_flags_get_a_sentence_with_the_new_name(capsys):
 def test_bad_settings_name_the_fix():
     for changes, words in (
         ({"method": "magic"}, "choose one of: sparse, ddl, offpolicy_ddl, ours"),
-        ({"distance.head": "mlq"}, "unknown head 'mlq'; choose one of: mlp, quasimetric"),
+        ({"distance.head": "mlq"}, "unknown head 'mlq'; did you mean mlp. choose one of: mlp, quasimetric"),
         ({"policy.agent": "td3"}, "unknown agent 'td3'; choose one of: sac, ddpg"),
         ({"distance.loss": "cubic"}, "unknown loss 'cubic'; choose one of: squared"),
         ({"batch_size": 0}, "batch_size is 0; it must lie between 1"),
