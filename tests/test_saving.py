@@ -135,7 +135,7 @@ def test_a_state_of_before_goes_on(tmp_path, whole):
 def test_a_run_of_plus_of_before_arrivals_had_to_last_goes_on_without(tmp_path, capsys):
     plus = {"method": "plus", "episodes_per_iteration": 4, "graph.control": 1.0, "evaluate.every": 4}
     expected = train(few(**plus, **{"bootstrap.stay": 0.0}), tmp_path / "whole")
-    run = Run.open(few(**plus), tmp_path / "today", False, False, Execution())
+    run = Run.open(few(**plus), tmp_path / "today", False, (), Execution())
     run.close()
     assert run.learner.lasting and run.learner.agent.bootstrap.stay == 0.5, "today they have to"
     train(few(**plus, n_episodes=8, **{"bootstrap.stay": 0.0}), tmp_path / "parts")
