@@ -59,7 +59,7 @@ def test_a_function_is_a_cost(env):
 
 
 def test_what_cannot_be_planned_is_said(env):
-    with pytest.raises(UserError, match="no search 'mpi'; choose one of: mppi"):
+    with pytest.raises(UserError, match="no search 'mpi'; did you mean mppi"):
         planners.controller("mpi", env)
     with pytest.raises(UserError, match="no option 'temprature'"):
         planners.controller("mppi", env, options={"search.temprature": 1})
