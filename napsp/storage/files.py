@@ -88,7 +88,8 @@ def sound(path: Path, fix: str) -> Iterator[None]:
     try:
         yield
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError, csv.Error) as error:
-        raise UserError(f"{path} does not hold what it should ({type(error).__name__}: {error}); {fix}") from None
+        what = next(iter(str(error).splitlines()), "")  # torch adds its stack to some
+        raise UserError(f"{path} does not hold what it should ({type(error).__name__}: {what}); {fix}") from None
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> str:
