@@ -57,9 +57,8 @@ def outcome(folder):
     """All that a finished run leaves, the clock apart."""
     rows = [{k: v for k, v in row.items() if k not in CLOCK} for row in read_rows(folder / "metrics.csv", np.inf)]
     model, header = read_tensors(folder / MODEL_FILE, "model")
-    return {"rows": str(rows), "model": {k: v.numpy() for k, v in model.items()}, "header": str(header)} | content(
-        folder
-    )
+    networks = {f"model.{name}": tensor.numpy() for name, tensor in model.items()}
+    return {"rows": str(rows), "header": str(header)} | networks | content(folder)
 
 
 def differences(one, other):
