@@ -13,6 +13,11 @@ COMMAND = [sys.executable, "-m", "benchmarks.sweep", "--envs", "point_maze", "--
 CELL = ["--n-episodes", "400"]
 
 
+def heard():
+    """Ctrl-C, also where these tests run in the background of a script, which ignores it and hands that on."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -21,6 +26,7 @@ def test_an_interrupted_sweep_saves_and_returns_130(tmp_path, jobs):
     sweep = subprocess.Popen(
         [*COMMAND, *CELL, "--seeds", str(jobs), "--jobs", str(jobs)],
         cwd=tmp_path, env=surroundings, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        preexec_fn=heard,  # noqa: PLW1509 - nothing of this process has threads at work here
     )  # fmt: skip
     deadline = time.monotonic() + 300
     while len(list(tmp_path.glob("runs/benchmarks/*/metrics.csv"))) < jobs and time.monotonic() < deadline:
