@@ -58,3 +58,16 @@ def test_it_does_what_the_modules_do(tmp_path):
     assert judged.returncode == 0 and judged.stdout.startswith("policy on fetch_reach: success 1.00")
     wrong = subprocess.run([*call, "train", "--env", "nope"], capture_output=True, text=True)
     assert wrong.returncode == 2 and wrong.stderr.startswith("error: unknown environment 'nope'")
+
+
+def test_a_reader_that_has_enough_ends_a_command_without_a_word():
+    script = (
+        "from napsp.errors import run_command; run_command(lambda: [print('line', flush=True) for _ in range(10**5)])"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as command:
+        assert command.stdout.readline() == "line\n"
+        command.stdout.close()
+        assert command.stderr.read() == ""
+    assert command.returncode == 141

@@ -292,16 +292,3 @@ def test_evaluate_runs_the_shipped_policy(tmp_path):
 
 def test_wilson_interval_against_the_textbook():
     np.testing.assert_allclose(wilson_interval(8, 10), (0.4901625, 0.9433178), atol=1e-6)
-
-
-def test_a_reader_that_has_enough_ends_a_command_without_a_word():
-    script = (
-        "from napsp.errors import run_command; run_command(lambda: [print('line', flush=True) for _ in range(10**5)])"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as command:
-        assert command.stdout.readline() == "line\n"
-        command.stdout.close()
-        assert command.stderr.read() == ""
-    assert command.returncode == 141

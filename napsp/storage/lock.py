@@ -37,7 +37,8 @@ def exclusive(path: Path, wait: bool) -> Iterator[None]:
 
 
 def _locked(path: Path, wait: bool) -> int:
-    while sys.platform != "win32":
+    assert sys.platform != "win32"
+    while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
@@ -50,7 +51,6 @@ def _locked(path: Path, wait: bool) -> int:
             os.close(descriptor)
             raise
         os.close(descriptor)  # its last holder has removed it meanwhile
-    raise NotImplementedError
 
 
 def _is(descriptor: int, path: Path) -> bool:
