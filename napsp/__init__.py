@@ -6,6 +6,8 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
+from napsp.errors import tell_of_interrupts
+
 if TYPE_CHECKING:
     from napsp.library import Distance, Gradient, evaluate, load, make
     from napsp.train import train
@@ -15,6 +17,7 @@ try:
 except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "unknown"
 __all__ = ["Distance", "Gradient", "__version__", "evaluate", "load", "make", "train"]
+tell_of_interrupts()
 
 
 def __getattr__(name: str) -> Any:

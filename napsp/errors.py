@@ -9,7 +9,7 @@ import sys
 import traceback
 from collections.abc import Callable, Collection
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, TracebackType
 from typing import Any
 
 
@@ -42,6 +42,20 @@ def run_command(main: Callable[[], int | None]) -> None:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
     sys.exit(status or 0)
+
+
+def tell_of_interrupts() -> None:
+    """Where ``python -m`` imports a package: let Ctrl-C end the command in a line until :func:`run_command` does."""
+    if sys.argv[:1] == ["-m"]:  # what it is while the command's module is looked for
+        sys.excepthook = _interrupted
+
+
+def _interrupted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    if not issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
+        return
+    print("interrupted", file=sys.stderr, flush=True)
+    os._exit(130)  # nothing has been begun; Python would end itself by the signal
 
 
 def close(word: str, known: Collection[str]) -> str | None:

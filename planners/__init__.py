@@ -1,8 +1,10 @@
-"""How to search: sampling planners in numpy. Imports nothing by itself, so that `python -m planners.NAME` is clean."""
+"""How to search: sampling planners in numpy. Imports next to nothing, so that `python -m planners.NAME` is clean."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
+
+import napsp  # noqa: F401 - a line for Ctrl-C
 
 if TYPE_CHECKING:
     from planners.app.library import controller

@@ -1,5 +1,6 @@
 """The command napsp finds its way to the others."""
 
+import os
 import subprocess
 import sys
 
@@ -71,3 +72,18 @@ def test_a_reader_that_has_enough_ends_a_command_without_a_word():
         command.stdout.close()
         assert command.stderr.read() == ""
     assert command.returncode == 141
+
+
+def test_help_of_a_plan_names_the_command_that_was_typed(capsys):
+    with pytest.raises(SystemExit):
+        command.run(["plan", "icem", "--help"])
+    assert "napsp plan icem" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("module", ["napsp.train", "planners.icem", "benchmarks.sweep"])
+def test_ctrl_c_while_modules_are_imported_is_a_line(module, tmp_path):
+    (tmp_path / "scipy.py").write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n")
+    (tmp_path / "tyro.py").write_text((tmp_path / "scipy.py").read_text())
+    found = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run([sys.executable, "-m", module, "--help"], env=found, capture_output=True, text=True)
+    assert done.returncode == 130 and done.stderr == "interrupted\n", done.stderr

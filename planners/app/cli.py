@@ -15,14 +15,14 @@ def main(planner: str) -> None:
     run_command(lambda: run(planner, sys.argv[1:]))
 
 
-def run(planner: str, arguments: list[str]) -> int:
-    """Plan the episodes, print the table, write the output folder.
+def run(planner: str, arguments: list[str], prog: str | None = None) -> int:
+    """Plan the episodes, print the table, write the output folder; ``prog`` is the command, see :func:`parse`.
 
     Ctrl-C ends the episodes early; what was done is still reported.
     """
     from planners.app.options import parse
 
-    config, options = parse(planner, arguments)
+    config, options = parse(planner, arguments, prog=prog)
     if options.render == "human":
         require_display()
     print(f"{config.env}: loading torch, MuJoCo and what was learned", flush=True)

@@ -78,7 +78,7 @@ def _plan(arguments: list[str]) -> int:
     if search not in _searches():
         raise UserError(f"there is no search {search!r}; {choose(search, _searches())}")
     choose_gl()  # before anything imports mujoco
-    return plan(search, arguments)
+    return plan(search, arguments, f"napsp plan {search}")
 
 
 def _report(arguments: list[str]) -> int | None:

@@ -80,10 +80,13 @@ class Command(Generic[S]):
     smoothing: Annotated[SmoothingConfig, tyro.conf.arg(name="smooth")] = field(default_factory=SmoothingConfig)
 
 
-def parse(planner: str, arguments: list[str], others: Sequence[str] = ()) -> tuple[PlanConfig[Any], RunOptions]:
+def parse(
+    planner: str, arguments: list[str], others: Sequence[str] = (), prog: str | None = None
+) -> tuple[PlanConfig[Any], RunOptions]:
     """The configuration and the circumstances that a command line asks for.
 
-    ``others`` are options that the command has beside these, and may have been meant by one that is unknown.
+    ``others`` are options that the command has beside these, and may have been meant by one that is unknown; ``prog`` is
+    the command, ``python -m planners.NAME`` if None.
 
     Raises:
         UserError: an option has another name now, or a value is out of its range or does not fit the others.
@@ -101,7 +104,7 @@ def parse(planner: str, arguments: list[str], others: Sequence[str] = ()) -> tup
     )
     names = _names(default)
     refuse_old_flags(arguments, old_names(names))
-    prog = f"python -m planners.{planner}"
+    prog = prog or f"python -m planners.{planner}"
     try:
         asked: Command[Any] = ask(Command[shown], arguments, prog, [*names, *others], default=default)
         own = {f.name: getattr(asked.plan.search, f.name) for f in dataclasses.fields(kind)}
