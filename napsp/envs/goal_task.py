@@ -17,7 +17,6 @@ from napsp.envs.cards import CARDS
 from napsp.envs.goal_check import check_behaviour, check_spaces
 from napsp.envs.success import SuccessTest, success_test
 from napsp.envs.wrappers import LOOKERS, STANDARD
-from napsp.errors import UserError
 
 
 class GoalTask(gymnasium.Wrapper):
@@ -37,11 +36,14 @@ class GoalTask(gymnasium.Wrapper):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance one control step."""
-        share = 0.5 * (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0)
-        own = np.clip(self._low + share * (self._high - self._low), self._low, self._high).astype(self._type)
-        observation, _, terminated, truncated, info = self.env.step(own)
+        observation, _, terminated, truncated, info = self.env.step(self.own_action(action))
         success = bool(self.reached(observation["achieved_goal"], observation["desired_goal"]))
         return observation, float(success) - 1.0, terminated, truncated, {**info, "is_success": success}
+
+    def own_action(self, action: Any) -> np.ndarray:
+        """An action ``(A,)`` in [-1, 1] as the environment's own, in its box."""
+        share = 0.5 * (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0)
+        return np.clip(self._low + share * (self._high - self._low), self._low, self._high).astype(self._type)
 
     def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
         """Tell for each pair of goals ``(..., G)`` whether it is a success, bool ``(...)``."""
@@ -85,8 +87,7 @@ def make_goal_task(name: str, reached: str | None = None, **kwargs: Any) -> gymn
     if name in CARDS or _plannable(env := tasks.create(name, **kwargs)):
         if name not in CARDS:
             env.close()  # it showed what it is; planning makes its own
-        if reached is not None:
-            raise UserError(f"{name} has a success test of its own; leave out --reached")
+        tasks.refuse_test(name, reached)
         return tasks.make(name, **kwargs)
     check_spaces(env, name)
     task = GoalTask(env, success_test(env, name, reached))
@@ -108,7 +109,7 @@ def _plannable(env: gymnasium.Env) -> bool:
     from napsp.envs.stock import FAMILIES  # gymnasium-robotics takes a while to import
 
     bare, world = env, env.unwrapped
-    known = all(hasattr(world, member) for member in tasks.REQUIRED)
+    known = not tasks.lacks(world)
     while isinstance(bare, (*STANDARD, *(LOOKERS if known else ()))):
         bare = bare.env  # type: ignore[attr-defined]
     return bare is world and (known or isinstance(world, tuple(kind for kind, _ in FAMILIES)))
