@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from napsp.envs.goal_task import GoalTask
+from napsp.envs.goal_wrapper import GoalTask
 
 PROTOCOL = ("get_state", "set_state")
 

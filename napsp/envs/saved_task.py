@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 
 from napsp.envs.goal_check import check_behaviour, check_spaces
-from napsp.envs.goal_task import GoalTask
+from napsp.envs.goal_wrapper import GoalTask
 from napsp.envs.saved import SavedDynamics, saved_state
 from napsp.envs.success import SuccessTest, radius_of, success_test
 from napsp.errors import UserError, describe_failure
