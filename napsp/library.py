@@ -20,9 +20,7 @@ from napsp.config import PAPER, preset
 from napsp.data.outcomes import Outcomes
 from napsp.data.outcomes import evaluate as run_episodes
 from napsp.distance.network import DistanceNetwork
-from napsp.envs.cards import CARDS
-from napsp.envs.goal_task import make_goal_task
-from napsp.envs.wrappers import LOOKERS, STANDARD, wrappers_around
+from napsp.envs.goal_task import make_goal_task, saves_its_state
 from napsp.execution import Execution
 from napsp.policy.greedy import GreedyPolicy
 from napsp.storage.checkpoint import Model, load_model
@@ -175,13 +173,7 @@ def make(task: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
         UserError: unknown, or an environment that cannot be used.
     """
     name = tasks.canonical_name(task)
-    if name not in CARDS:
-        env = tasks.create(name, **kwargs)
-        env.close()  # it showed what it is
-        changed = [wrapper for wrapper in wrappers_around(env) if not isinstance(wrapper, (*STANDARD, *LOOKERS))]
-        if tasks.plans_by_state(env) and not changed:
-            return tasks.make(name, reached, **kwargs)
-    return make_goal_task(name, reached, **kwargs)
+    return (tasks.make if saves_its_state(name, **kwargs) else make_goal_task)(name, reached, **kwargs)
 
 
 def evaluate(distance: Distance, episodes: int = 50, seed: int = 0) -> Outcomes:

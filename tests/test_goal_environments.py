@@ -239,7 +239,8 @@ def command(folder, *arguments):
 
 def test_the_documented_task_trains_and_is_evaluated(tmp_path):
     training, evaluation, planning = page(tmp_path)
-    command(tmp_path, *training, *as_flags({**TINY, "n_episodes": 8}).split())
+    said = command(tmp_path, *training, *as_flags({**TINY, "n_episodes": 8}).split())
+    assert "next: python -m planners.mppi --env point:Point" in said
     assert "policy on point:Point" in command(tmp_path, *evaluation, "--episodes", "2")
     said = command(tmp_path, *planning, "--episodes", "1", "--samples", "8", "--horizon", "3", "--threads", "1")
     assert "16 steps of 2 episodes came as planned, to the bit" in said

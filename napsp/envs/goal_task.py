@@ -15,7 +15,7 @@ from napsp.envs.cards import CARDS
 from napsp.envs.goal_check import check_behaviour, check_spaces
 from napsp.envs.goal_wrapper import GoalTask
 from napsp.envs.success import success_test
-from napsp.envs.wrappers import LOOKERS, STANDARD
+from napsp.envs.wrappers import LOOKERS, STANDARD, wrappers_around
 
 
 def own_box(env: gymnasium.Env) -> list[list[float]] | None:
@@ -63,6 +63,21 @@ def make_goal_task(name: str, reached: str | None = None, **kwargs: Any) -> gymn
 
 
 _CHECKED: set[tuple[str, str | None]] = set()
+
+
+def saves_its_state(name: str, **kwargs: Any) -> bool:
+    """Whether a task can be planned in, by its state: it has no dynamics, and wrappers only look on.
+
+    Args:
+        name: canonical.
+        kwargs: of the environment's class.
+    """
+    if name in CARDS:
+        return False
+    env = tasks.create(name, **kwargs)
+    env.close()  # it showed what it is
+    changed = [wrapper for wrapper in wrappers_around(env) if not isinstance(wrapper, (*STANDARD, *LOOKERS))]
+    return tasks.plans_by_state(env) and not changed
 
 
 def _plannable(env: gymnasium.Env) -> bool:
