@@ -13,7 +13,7 @@ import numpy as np
 from mpc.cost import Cost
 from mpc.knots import SplineConfig, interpolation_matrix, shift_matrix
 from mpc.rollout import Actor, Followed, RolloutEngine, Trajectories
-from napsp.envs.state import check_same_state, get_state
+from mpc.simulators import State
 
 
 class Planner(Protocol):
@@ -70,7 +70,7 @@ class Smoother(Protocol):
         ...
 
     def __call__(
-        self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
+        self, state: State, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
     ) -> Smoothed:
         """Smooth ``actions`` ``(H, A)``; ``executed`` ``(k, A)``, k <= 2, are the last actions, the latest last."""
         ...
@@ -156,16 +156,14 @@ class Controller:
         self._shift_due = False
 
     def plan(self, env: Any, observation: dict[str, np.ndarray]) -> Plan:
-        """Plan from the current state of ``env`` (unwrapped); its data is only read.
+        """Plan from the current state of ``env`` (unwrapped), which is only read.
 
         Raises:
             ValueError: the engine's model has another state, or the desired goal is not finite.
         """
-        self.engine.update()
-        check_same_state(env.model, self.engine.dynamics.model)
-        return self.plan_from(get_state(env.model, env.data), observation)
+        return self.plan_from(self.engine.state_of(env), observation)
 
-    def plan_from(self, state: np.ndarray, observation: dict[str, np.ndarray]) -> Plan:
+    def plan_from(self, state: State, observation: dict[str, np.ndarray]) -> Plan:
         """Plan from a full simulator state and the observation that belongs to it.
 
         Raises:
@@ -210,16 +208,16 @@ class Controller:
 
         That is in the model planned in; its own cost in the environment differs where that one is coarser.
         """
-        return self.cost_from(get_state(env.model, env.data), observation, actions)
+        return self.cost_from(self.engine.state_of(env), observation, actions)
 
-    def cost_from(self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray) -> float:
+    def cost_from(self, state: State, observation: dict[str, np.ndarray], actions: np.ndarray) -> float:
         """The same from a full simulator state and the observation that belongs to it."""
         plans, n_simulated = actions[None], self.cost.simulated_steps(self.horizon)
         trajectories = self.engine.rollout(state, plans[:, :n_simulated])
         return float(self.cost(observation, trajectories, plans, observation["desired_goal"])[0])
 
     def _smooth(
-        self, smoother: Smoother, state: np.ndarray, observation: dict[str, np.ndarray], plan: np.ndarray
+        self, smoother: Smoother, state: State, observation: dict[str, np.ndarray], plan: np.ndarray
     ) -> np.ndarray:
         executed = np.array(self._executed[-2:], np.float32).reshape(-1, plan.shape[1])
         smoothed = smoother(state, observation, plan, executed)

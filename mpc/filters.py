@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mpc.controller import Smoothed
+from mpc.simulators import State
 
 
 class LowPass:
@@ -21,7 +22,7 @@ class LowPass:
         """Nothing is remembered."""
 
     def __call__(
-        self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
+        self, state: State, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
     ) -> Smoothed:
         """The filtered plan ``(H, A)``; the search does not learn of it."""
         filtered = actions.copy()

@@ -2,7 +2,7 @@
 
 A rollout runs the task's own :class:`~napsp.envs.dynamics.Dynamics`, so it equals stepping
 the environment bit for bit: same state (clock, warm start and mocap included), same control
-arithmetic, same observations.
+arithmetic, same observations. What a worker simulates with is a simulator of :mod:`mpc.simulators`.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import mujoco
 import numpy as np
 
-from mpc.divergence import any_blew_up, blew_up, watch
+from mpc.divergence import any_blew_up
 from mpc.native import NativeRollout, hands_over
+from mpc.simulators import State, simulators, state_of
 from mpc.threads import ThreadWorkers
 from mpc.workers import CAN_FORK, ForkedWorkers, StuckError
 from napsp.envs.dynamics import Dynamics
-from napsp.envs.state import get_state, put_state
-from napsp.envs.watch import Watched, WatchedDynamics
+from napsp.envs.watch import watched
 
 Actor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps observations ``(1, O)`` and goals ``(1, G)`` to actions ``(1, A)``."""
@@ -80,6 +80,7 @@ class RolloutEngine:
 
     Attributes:
         path: how the last rollout was simulated, in words.
+        simulators: one per worker.
     """
 
     path = "nothing simulated yet"
@@ -103,9 +104,7 @@ class RolloutEngine:
 
     def _bind(self) -> None:
         self._model = self.dynamics.model
-        # MjData takes megabytes: one per worker for good, never one per sample.
-        self._datas = [mujoco.MjData(self._model) for _ in range(self.n_threads)]
-        self._simulations = [self.dynamics.bind(data) for data in self._datas]
+        self.simulators = simulators(self.dynamics, self.n_threads)
 
     @property
     def helper_seconds(self) -> float:
@@ -137,11 +136,20 @@ class RolloutEngine:
         dynamics = self._source() if self._source else self.dynamics
         if dynamics is not self.dynamics or dynamics.model is not self._model:
             self.use(dynamics)
-        elif self._helpers is not None and any(watched.changed() for watched in self._watched):
+        elif self._helpers is not None and any(part.changed() for part in self._watched):
             self._end_helpers()  # they hold a copy
 
-    def rollout(self, state: np.ndarray, actions: np.ndarray, known: Sequence[Followed] = ()) -> Trajectories:
-        """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :func:`napsp.envs.state.get_state`.
+    def state_of(self, world: Any) -> State:
+        """The state of an environment (unwrapped), which is only read, fit for :meth:`rollout`.
+
+        Raises:
+            ValueError: the model planned in has another state.
+        """
+        self.update()
+        return state_of(self.dynamics, world)
+
+    def rollout(self, state: State, actions: np.ndarray, known: Sequence[Followed] = ()) -> Trajectories:
+        """Simulate ``actions`` ``(N, H, A)`` from ``state`` of :meth:`state_of`.
 
         Samples equal to actions in ``known``, followed from the same state, are copied from
         there instead.
@@ -163,41 +171,36 @@ class RolloutEngine:
                 self._run_workers(state, controls, samples, features, diverged)
         return Trajectories(*self.dynamics.observe(features), any_blew_up(diverged, features))
 
-    def follow(self, state: np.ndarray, observation: dict[str, np.ndarray], actor: Actor, horizon: int) -> Followed:
+    def follow(self, state: State, observation: dict[str, np.ndarray], actor: Actor, horizon: int) -> Followed:
         """Let an actor that sees every simulated state act for ``horizon`` steps from ``state``."""
         self.update()
-        simulation, data = self._simulations[0], self._datas[0]
+        simulator = self.simulators[0]
         features, diverged = np.empty((horizon, self.dynamics.n_features)), np.empty(horizon, bool)
-        self._begin(0, state)
+        simulator.begin(state)
         current, goal = observation["observation"], observation["desired_goal"].astype(np.float32)[None]
         actions = []
         for step in range(horizon):
             actions.append(actor(current.astype(np.float32)[None], goal)[0])
-            simulation.advance(self.dynamics.control(actions[-1])[None], features[step : step + 1])
-            diverged[step] = blew_up(data)
+            simulator.advance(self.dynamics.control(actions[-1])[None], features[step : step + 1])
+            diverged[step] = simulator.blew_up()
             current = self.dynamics.observe(features[step])[0]
         return Followed(np.stack(actions), features, diverged)
 
-    def trace(self, state: np.ndarray, actions: np.ndarray) -> tuple[Trajectories, np.ndarray]:
-        """Roll out one plan ``(H, A)``; also the full states ``(H, S)`` before each step, fit for :meth:`rollout`."""
+    def trace(self, state: State, actions: np.ndarray) -> tuple[Trajectories, list[State]]:
+        """Roll out one plan ``(H, A)``; also the full states before each step, fit for :meth:`rollout`."""
         self.update()
-        simulation, data, dynamics = self._simulations[0], self._datas[0], self.dynamics
-        features, states = np.empty((1, len(actions), dynamics.n_features)), np.empty((len(actions), len(state)))
-        controls = dynamics.control(actions)
-        self._begin(0, state)
+        simulator, dynamics, states = self.simulators[0], self.dynamics, []
+        features, controls = np.empty((1, len(actions), dynamics.n_features)), dynamics.control(actions)
+        simulator.begin(state)
         for step in range(len(actions)):
-            states[step] = get_state(self._model, data)
-            simulation.advance(controls[step : step + 1], features[0, step : step + 1])
-        diverged = any_blew_up(np.array([blew_up(data)]), features)
+            states.append(simulator.state())
+            simulator.advance(controls[step : step + 1], features[0, step : step + 1])
+        diverged = any_blew_up(np.array([simulator.blew_up()]), features)
         return Trajectories(*dynamics.observe(features), diverged), states
-
-    def _begin(self, worker: int, state: np.ndarray) -> None:
-        put_state(self._simulations[worker], self._model, self._datas[worker], state)
-        watch(self._datas[worker])
 
     def _run_workers(
         self,
-        state: np.ndarray,
+        state: State,
         controls: np.ndarray,
         samples: np.ndarray,
         features: np.ndarray,
@@ -227,7 +230,7 @@ class RolloutEngine:
         if self._helpers is None or not self._helpers.fit(controls) or not self._helpers.alive():
             self._end_helpers()
             sizes = controls.shape[0] * controls.shape[1], controls.shape[2], features.shape[2]
-            self._watched = Watched(self._model), WatchedDynamics(self.dynamics)
+            self._watched = watched(self.dynamics)
             self._helpers = ForkedWorkers(self._run_samples, self.n_threads - 1, *sizes)
         return self._helpers
 
@@ -240,31 +243,29 @@ class RolloutEngine:
     def _run_samples(
         self,
         worker: int,
-        state: np.ndarray,
+        state: State,
         samples: Iterable[int],
         controls: np.ndarray,
         features: np.ndarray,
         diverged: np.ndarray,
     ) -> None:
-        simulation, data = self._simulations[worker], self._datas[worker]
+        simulator = self.simulators[worker]
         for sample in samples:
-            self._begin(worker, state)
-            simulation.advance(controls[sample], features[sample])
-            diverged[sample] = blew_up(data)
+            simulator.begin(state)
+            simulator.advance(controls[sample], features[sample])
+            diverged[sample] = simulator.blew_up()
 
-    def _run_native(
-        self, state: np.ndarray, controls: np.ndarray, samples: np.ndarray, features: np.ndarray
-    ) -> np.ndarray:
+    def _run_native(self, state: State, controls: np.ndarray, samples: np.ndarray, features: np.ndarray) -> np.ndarray:
         """Fill in features of what one ``mujoco.rollout`` call can simulate; the samples that it can not."""
-        put_state(self._simulations[0], self._model, self._datas[0], state)
-        substeps = self.dynamics.substeps
-        if not hands_over(self._model, self._datas[0], controls.shape[1] * substeps):
+        self.simulators[0].load(state)
+        substeps, datas = self.dynamics.substeps, [simulator.data for simulator in self.simulators]
+        if not hands_over(self._model, datas[0], controls.shape[1] * substeps):
             return samples
         self.path = f"mujoco.rollout, {self.n_threads} threads"
         if self._native is None:
             self._native = NativeRollout(self.n_threads)
         found = features if len(samples) == len(features) else features[samples]
-        warned = self._native.run(self._model, self._datas, controls[samples], substeps, found)
+        warned = self._native.run(self._model, datas, controls[samples], substeps, found)
         features[samples] = found
         return samples[warned]
 

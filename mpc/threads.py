@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 
+from mpc.simulators import State
 from mpc.workers import Job
 
 
@@ -18,7 +19,7 @@ class ThreadWorkers:
 
     def run(
         self,
-        state: np.ndarray,
+        state: State,
         samples: np.ndarray,
         controls: np.ndarray,
         features: np.ndarray,

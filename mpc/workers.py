@@ -26,14 +26,16 @@ from pathlib import Path
 
 import numpy as np
 
+from mpc.simulators import State
+
 CAN_FORK = sys.platform == "linux"  # elsewhere system libraries do not survive a fork; threads do the work there
 
 LOCK_SECONDS = 60.0  # far longer than anyone holds the lock, unless it died with it
 QUIET_SECONDS = 5.0  # how long a helper that owes an answer may sleep without computing anything
 PR_SET_PDEATHSIG = 1
 
-Job = Callable[[int, np.ndarray, Iterable[int], np.ndarray, np.ndarray, np.ndarray], None]
-"""Called with worker, state ``(S,)``, the samples to simulate, controls ``(N, H, U)``, features ``(N, H, F)`` and
+Job = Callable[[int, State, Iterable[int], np.ndarray, np.ndarray, np.ndarray], None]
+"""Called with worker, state, the samples to simulate, controls ``(N, H, U)``, features ``(N, H, F)`` and
 whether they blew up, ``(N,)``, 0 or 1; fills in its samples' rows of the last two."""
 
 
@@ -101,7 +103,7 @@ class ForkedWorkers:
 
     def run(
         self,
-        state: np.ndarray,
+        state: State,
         samples: np.ndarray,
         controls: np.ndarray,
         features: np.ndarray,

@@ -15,11 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from napsp import envs as tasks
 from napsp.config import PAPER, preset
 from napsp.data.outcomes import Outcomes
 from napsp.data.outcomes import evaluate as run_episodes
 from napsp.distance.network import DistanceNetwork
-from napsp.envs.goal_task import make_goal_task
+from napsp.envs.goal_task import make_goal_task, saves_its_state
 from napsp.execution import Execution
 from napsp.policy.greedy import GreedyPolicy
 from napsp.storage.checkpoint import Model, load_model
@@ -165,13 +166,14 @@ def make(task: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
 
     Args:
         task: its name, a Gymnasium id, ``package:id`` or ``module:Class``.
-        reached: success test of a goal environment with dense rewards, see docs/goal_environments.md.
+        reached: success test of a goal environment whose rewards are dense, see docs/goal_environments.md.
         kwargs: of its class.
 
     Raises:
         UserError: unknown, or an environment that cannot be used.
     """
-    return make_goal_task(task, reached, **kwargs)
+    name = tasks.canonical_name(task)
+    return (tasks.make if saves_its_state(name, **kwargs) else make_goal_task)(name, reached, **kwargs)
 
 
 def evaluate(distance: Distance, episodes: int = 50, seed: int = 0) -> Outcomes:

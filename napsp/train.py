@@ -17,6 +17,7 @@ from napsp import envs as tasks
 from napsp.callable_module import callable_module
 from napsp.command_line import Flat, ask
 from napsp.config import PAPER, PAPER_METHODS, TrainConfig, preset, recipes
+from napsp.envs.goal_task import saves_its_state
 from napsp.errors import run_command
 from napsp.execution import Execution
 from napsp.renamed import FLAGS
@@ -151,9 +152,9 @@ def main() -> int:
 
 
 def what_next(config: TrainConfig, folder: Path) -> str:
-    """Where a finished run is, and the command that makes use of it: a planner where d and dynamics are known."""
+    """Where a finished run is, and the command that uses it: a planner where d is known, and dynamics or states."""
     model = load_model(folder)
-    plans = model.distance is not None and model.header.get("action_box") is None
+    plans = model.distance is not None and (model.header.get("action_box") is None or saves_its_state(config.env))
     command = f"python -m {'planners.mppi' if plans else 'napsp.evaluate'} --env {config.env}"
     return (f"done: model.safetensors, metrics.csv and training_curve.png are in {folder}\n"
             f"next: {command} --checkpoint {shlex.quote(str(folder))}")  # fmt: skip

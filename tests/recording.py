@@ -8,6 +8,7 @@ from mpc.controller import Controller
 from mpc.cost import Cost
 from mpc.knots import SplineConfig
 from mpc.rollout import Followed, Trajectories
+from mpc.simulators import state_of
 from planners.smooth import HeldConfig
 
 STATE = np.array([0.0, 5.0])
@@ -39,6 +40,10 @@ class Line:
 
     def update(self):
         self.log.append(("engine.update",))
+
+    def state_of(self, world):
+        self.update()
+        return state_of(self.dynamics, world)
 
     def rollout(self, state, actions, known=()):
         self.log.append(("rollout", state, actions, known))

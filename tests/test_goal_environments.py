@@ -238,14 +238,19 @@ def command(folder, *arguments):
 
 
 def test_the_documented_task_trains_and_is_evaluated(tmp_path):
-    training, evaluation = page(tmp_path)
-    command(tmp_path, *training, *as_flags({**TINY, "n_episodes": 8}).split())
+    training, evaluation, planning = page(tmp_path)
+    said = command(tmp_path, *training, *as_flags({**TINY, "n_episodes": 8}).split())
+    assert "next: python -m planners.mppi --env point:Point" in said
     assert "policy on point:Point" in command(tmp_path, *evaluation, "--episodes", "2")
+    said = command(tmp_path, *planning, "--episodes", "1", "--samples", "8", "--horizon", "3", "--threads", "1")
+    assert "16 steps of 2 episodes came as planned, to the bit" in said
 
 
 @pytest.mark.slow
 def test_the_documented_commands_do_what_the_page_says(tmp_path):
-    training, evaluation = page(tmp_path)
+    training, evaluation, planning = page(tmp_path)
     command(tmp_path, *training)
     command(tmp_path, *evaluation, "--out", "found.json")
     assert json.loads((tmp_path / "found.json").read_text())["success_rate"] >= 0.9
+    command(tmp_path, *planning, "--out", "plans")
+    assert json.loads((tmp_path / "plans" / "summary.json").read_text())["success_rate"] == 1.0

@@ -39,7 +39,7 @@ def execute(world, actions):
 
 
 def final_state(engine):
-    data = engine._datas[0]
+    data = engine.simulators[0].data
     return np.concatenate([data.qpos, data.qvel])
 
 
@@ -165,8 +165,8 @@ BREAKAGES += [("fetch_pick_place_wall", f) for f in (*ARM, without_box_velocity,
 def test_the_comparison_notices_missing_state(name, breakage, worlds):
     world = worlds[name]
     with RolloutEngine(world.dynamics, n_threads=2) as engine:
-        for simulation in engine._simulations:
-            breakage(simulation)
+        for simulator in engine.simulators:
+            breakage(simulator.simulation)
         worst = 0.0
         for seed in range(4):
             free = seed % 2 or name == "fetch_wall"

@@ -53,9 +53,7 @@ def test_a_failing_helper_process_is_reported_and_replaced(dies, message):
     with RolloutEngine(dynamics, 2) as engine:
         with pytest.raises(RuntimeError, match=message):
             engine.rollout(state, actions)
-        engine._simulations[1].advance = engine._simulations[0].advance  # mended
-        engine._simulations[1].restore = engine._simulations[0].restore
-        engine._datas[1] = engine._datas[0]
+        engine.simulators[1] = engine.simulators[0]  # mended
         assert not engine.rollout(state, actions).diverged.any(), "a fresh helper takes over"
 
 
@@ -145,14 +143,14 @@ def test_a_helper_process_that_works_long_is_waited_for(monkeypatch):
     dynamics = Explosive(open_loop=False)
     state, actions = get_state(dynamics.model, mujoco.MjData(dynamics.model)), np.zeros((2, 2, 1))
     with RolloutEngine(dynamics, 2) as engine:
-        advance, end = engine._simulations[1].advance, time.monotonic() + 1.5
+        advance, end = engine.simulators[1].advance, time.monotonic() + 1.5
 
         def busy(*rows):
             while time.monotonic() < end:
                 pass
             advance(*rows)
 
-        engine._simulations[1].advance = busy
+        engine.simulators[1].advance = busy
         assert not engine.rollout(state, actions).diverged.any()
         assert engine.forks
 

@@ -16,6 +16,7 @@ import numpy as np
 from mpc.controller import Smoothed
 from mpc.cost import Cost
 from mpc.rollout import RolloutEngine
+from mpc.simulators import State
 from mpc.smoothing.config import SmoothingConfig
 from mpc.smoothing.distance import SmoothDistance
 from mpc.smoothing.linearise import Linearisation, linearise
@@ -70,7 +71,7 @@ class Smoother:
         self._last_is_smooth = False
 
     def __call__(
-        self, state: np.ndarray, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
+        self, state: State, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
     ) -> Smoothed:
         """A smoother plan ``(H, A)``, or the given one.
 
@@ -93,7 +94,7 @@ class Smoother:
         return Smoothed(task.plan, task.cost, accepted)
 
     def _start(
-        self, state: np.ndarray, observation: dict[str, np.ndarray], sampled: np.ndarray, executed: np.ndarray
+        self, state: State, observation: dict[str, np.ndarray], sampled: np.ndarray, executed: np.ndarray
     ) -> _Task:
         """Begin with the last smoothed plan, moved on in time, where the true objective prefers it to the sampled one.
 
@@ -163,7 +164,7 @@ class Smoother:
         task.plan, task.cost, task.merit = plans[best], float(costs[best]), float(merit[best])
         return best
 
-    def _true_costs(self, state: np.ndarray, observation: dict[str, np.ndarray], plans: np.ndarray) -> np.ndarray:
+    def _true_costs(self, state: State, observation: dict[str, np.ndarray], plans: np.ndarray) -> np.ndarray:
         found = self.engine.rollout(state, plans[:, : self.cost.simulated_steps(self.horizon)])
         return self.cost(observation, found, plans, observation["desired_goal"])
 
@@ -196,7 +197,7 @@ class Smoother:
 class _Task:
     """One call's plan on its way: what was sampled, and the best so far."""
 
-    state: np.ndarray
+    state: State
     observation: dict[str, np.ndarray]
     executed: np.ndarray
     sampled: np.ndarray

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mpc.rollout import RolloutEngine, Trajectories
+from mpc.simulators import State
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Linearisation:
 
 
 def linearise(
-    engine: RolloutEngine, state: np.ndarray, actions: np.ndarray, n_simulated: int, step: float = 0.1
+    engine: RolloutEngine, state: State, actions: np.ndarray, n_simulated: int, step: float = 0.1
 ) -> Linearisation:
     """Roll out the plan ``actions`` ``(H, A)``, and copies with one number changed each.
 
@@ -54,7 +55,7 @@ def linearise(
 
 
 def _simulate(
-    engine: RolloutEngine, state: np.ndarray, plan: np.ndarray, copies: list[np.ndarray]
+    engine: RolloutEngine, state: State, plan: np.ndarray, copies: list[np.ndarray]
 ) -> tuple[Trajectories, list[Trajectories]]:
     """The trajectory of the plan ``(n, A)``, and those of its copies that differ from step t on, from there on.
 

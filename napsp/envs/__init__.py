@@ -118,22 +118,35 @@ def _loader(name: str) -> Any:
     return partial(gymnasium.make, gym_id, disable_env_checker=True)  # what we need is checked here, in one sentence
 
 
-def make(name: str, **kwargs: Any) -> gymnasium.Env:
-    """Create a task with its time limit.
+def make(name: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
+    """Create a task to plan in, with its time limit.
+
+    Args:
+        name: of a task, a Gymnasium id, ``package:id`` or ``module:Class``.
+        reached: success test of an environment that saves its state and whose rewards are dense.
+        kwargs: of the environment's class.
 
     Raises:
         UserError: unknown, or an environment that cannot be planned in, because of its wrappers say.
     """
     name = canonical_name(name)
     if name in CARDS:
+        refuse_test(name, reached)
         return gymnasium.make(CARDS[name].gym_id, **kwargs)
     load = _loader(name)
     env: Any = create(name, **kwargs)
-    missing = [member for member in REQUIRED if not hasattr(env.unwrapped, member)]
+    missing = lacks(env.unwrapped)
+    if missing and plans_by_state(env):
+        from napsp.envs.saved_task import saved_task
+
+        own = {option: value for option, value in kwargs.items() if option != "render_mode"}
+        env = saved_task(name, unwrapped(name, env, lookers=True), reached, lambda: load(**own).unwrapped)
+        return gymnasium.wrappers.TimeLimit(env, episode_length(name))
+    refuse_test(name, reached)
     if missing:
         env.close()
         unwrapped(name, env, lookers=False)
-        env = _adapt(name, load, missing, **kwargs)
+        env = _adapt(name, env.unwrapped, load, missing, **kwargs)
     else:
         env = unwrapped(name, env, lookers=True)
         if name not in _CHECKED:
@@ -152,10 +165,37 @@ _CHECKED: set[str] = set()
 REQUIRED = ("dynamics", "model", "data", "reached", "compute_reward", "goal_positions", "goal_radius", "step_length")
 
 
-def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium.Env:
-    """Make a stock robot or maze a task; others have to offer their dynamics themselves."""
-    from napsp.envs.adapter import StockTask
+def lacks(world: Any) -> list[str]:
+    """What planning asks of an environment (unwrapped) and it does not have; properties are not asked for a value."""
+    return [member for member in REQUIRED if not (hasattr(type(world), member) or hasattr(world, member))]
 
+
+def plans_by_state(env: gymnasium.Env) -> bool:
+    """Whether planning simulates an environment by saving and restoring its state, for want of dynamics."""
+    from napsp.envs.saved import saves_state
+    from napsp.envs.stock import FAMILIES  # gymnasium-robotics takes a while to import
+
+    world = env.unwrapped
+    stock = isinstance(world, tuple(kind for kind, _ in FAMILIES))
+    return saves_state(world) and bool(lacks(world)) and not stock
+
+
+def refuse_test(name: str, reached: str | None) -> None:
+    """Refuse another success test for a task that has its own.
+
+    Raises:
+        UserError: one is named.
+    """
+    if reached is not None:
+        raise UserError(f"{name} has a success test of its own; leave out --reached")
+
+
+def _adapt(name: str, world: Any, load: Any, missing: list[str], **kwargs: Any) -> gymnasium.Env:
+    """Make a stock robot or maze a task; others have to offer their dynamics or their state themselves."""
+    from napsp.envs.adapter import StockTask
+    from napsp.envs.saved import PROTOCOL
+
+    lacking = [method for method in PROTOCOL if not callable(getattr(world, method, None))]
     try:
         task = StockTask(lambda **options: load(**options).unwrapped, **kwargs)
         task.task_name = name
@@ -164,7 +204,8 @@ def _adapt(name: str, load: Any, missing: list[str], **kwargs: Any) -> gymnasium
         raise UserError(
             f"{name} can not be planned in: it lacks {', '.join(missing)} and is neither a "
             "MujocoRobotEnv nor a MazeEnv of gymnasium-robotics; planners simulate a task by the dynamics of its "
-            "MuJoCo model, so add them as docs/environments.md shows (training needs none of it)"
+            "MuJoCo model, so add them as docs/environments.md shows, or by saving and restoring its state, so add "
+            f"{' and '.join(lacking)} as docs/goal_environments.md shows (training needs none of it)"
         ) from None
 
 

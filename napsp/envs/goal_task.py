@@ -8,51 +8,14 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
-import numpy as np
-from gymnasium.spaces import Box
 from gymnasium.wrappers import TimeLimit
 
 from napsp import envs as tasks
 from napsp.envs.cards import CARDS
 from napsp.envs.goal_check import check_behaviour, check_spaces
-from napsp.envs.success import SuccessTest, success_test
-from napsp.envs.wrappers import LOOKERS, STANDARD
-from napsp.errors import UserError
-
-
-class GoalTask(gymnasium.Wrapper):
-    """A goal environment with actions in [-1, 1], which are its whole box, and a reward of 0 at the goal, else -1.
-
-    Args:
-        env: with its wrappers; observes a Dict of three flat Boxes and acts by a flat Box with finite bounds.
-        test: tells for pairs of goals ``(n, G)`` whether they are reached, bool ``(n,)``.
-    """
-
-    def __init__(self, env: gymnasium.Env, test: SuccessTest) -> None:
-        super().__init__(env)
-        box: Any = env.action_space
-        self._low, self._high = box.low.astype(np.float64), box.high.astype(np.float64)
-        self._type, self._test = box.dtype, test
-        self.action_space = Box(-1.0, 1.0, box.shape, np.float32)
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advance one control step."""
-        share = 0.5 * (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0)
-        own = np.clip(self._low + share * (self._high - self._low), self._low, self._high).astype(self._type)
-        observation, _, terminated, truncated, info = self.env.step(own)
-        success = bool(self.reached(observation["achieved_goal"], observation["desired_goal"]))
-        return observation, float(success) - 1.0, terminated, truncated, {**info, "is_success": success}
-
-    def reached(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
-        """Tell for each pair of goals ``(..., G)`` whether it is a success, bool ``(...)``."""
-        pair = np.broadcast_arrays(achieved_goal, desired_goal)
-        rows = [np.ascontiguousarray(goals).reshape(-1, goals.shape[-1]) for goals in pair]
-        return self._test(*rows).reshape(pair[0].shape[:-1])
-
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
-        """Sparse reward ``(...)``: 0 where reached, -1 elsewhere."""
-        del info
-        return self.reached(achieved_goal, desired_goal).astype(np.float32) - np.float32(1)
+from napsp.envs.goal_wrapper import GoalTask
+from napsp.envs.success import success_test
+from napsp.envs.wrappers import LOOKERS, STANDARD, wrappers_around
 
 
 def own_box(env: gymnasium.Env) -> list[list[float]] | None:
@@ -85,8 +48,7 @@ def make_goal_task(name: str, reached: str | None = None, **kwargs: Any) -> gymn
     if name in CARDS or _plannable(env := tasks.create(name, **kwargs)):
         if name not in CARDS:
             env.close()  # it showed what it is; planning makes its own
-        if reached is not None:
-            raise UserError(f"{name} has a success test of its own; leave out --reached")
+        tasks.refuse_test(name, reached)
         return tasks.make(name, **kwargs)
     check_spaces(env, name)
     task = GoalTask(env, success_test(env, name, reached))
@@ -103,12 +65,27 @@ def make_goal_task(name: str, reached: str | None = None, **kwargs: Any) -> gymn
 _CHECKED: set[tuple[str, str | None]] = set()
 
 
+def saves_its_state(name: str, **kwargs: Any) -> bool:
+    """Whether a task can be planned in, by its state: it has no dynamics, and wrappers only look on.
+
+    Args:
+        name: canonical.
+        kwargs: of the environment's class.
+    """
+    if name in CARDS:
+        return False
+    env = tasks.create(name, **kwargs)
+    env.close()  # it showed what it is
+    changed = [wrapper for wrapper in wrappers_around(env) if not isinstance(wrapper, (*STANDARD, *LOOKERS))]
+    return tasks.plans_by_state(env) and not changed
+
+
 def _plannable(env: gymnasium.Env) -> bool:
     """Whether planning simulates an environment as it is; it knows nothing of wrappers."""
     from napsp.envs.stock import FAMILIES  # gymnasium-robotics takes a while to import
 
     bare, world = env, env.unwrapped
-    known = all(hasattr(world, member) for member in tasks.REQUIRED)
+    known = not tasks.lacks(world)
     while isinstance(bare, (*STANDARD, *(LOOKERS if known else ()))):
         bare = bare.env  # type: ignore[attr-defined]
     return bare is world and (known or isinstance(world, tuple(kind for kind, _ in FAMILIES)))

@@ -35,13 +35,25 @@ def success_test(env: Any, name: str, reached: str | None) -> SuccessTest:
         return _checked(_at_best_reward(env.get_wrapper_attr("compute_reward")), f"compute_reward of {name}")
     if ":" in reached:
         return _checked(load_object(reached), f"--reached {reached}")
+    radius = radius_of(reached)
+    return lambda achieved, desired: np.linalg.norm(achieved - desired, axis=-1) < radius
+
+
+def radius_of(reached: str | None) -> float | None:
+    """The radius that a success test is named by; None where it is named otherwise.
+
+    Raises:
+        UserError: it is no positive number.
+    """
+    if reached is None or ":" in reached:
+        return None
     try:
         radius = float(reached)
     except ValueError:
         radius = np.nan
     if not 0 < radius < np.inf:
         raise UserError(f"--reached is {reached}; give a positive radius, or module:function")
-    return lambda achieved, desired: np.linalg.norm(achieved - desired, axis=-1) < radius
+    return radius
 
 
 def _at_best_reward(compute_reward: Callable[..., Any]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

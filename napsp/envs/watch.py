@@ -52,3 +52,9 @@ class WatchedDynamics:
 
     def _read(self) -> list[Any]:
         return list(getattr(self._dynamics, "__dict__", {}).values())
+
+
+def watched(dynamics: Any) -> list[Watched | WatchedDynamics]:
+    """What tells whether dynamics have changed: their attributes, and the numbers of their model if they have one."""
+    model = [] if dynamics.model is None else [Watched(dynamics.model)]
+    return [*model, WatchedDynamics(dynamics)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 from gymnasium import wrappers
 
@@ -27,10 +29,7 @@ def unwrapped(name: str, env: gymnasium.Env, lookers: bool) -> gymnasium.Env:
     Raises:
         UserError: another wrapper is around it.
     """
-    own, around = env.unwrapped, []
-    while env is not own:
-        around.append(env)
-        env = env.env  # type: ignore[attr-defined]
+    own, around = env.unwrapped, wrappers_around(env)
     around = [wrapper for wrapper in around if not isinstance(wrapper, STANDARD)]
     others = [type(wrapper).__name__ for wrapper in around if not (lookers and isinstance(wrapper, LOOKERS))]
     if others:
@@ -38,7 +37,17 @@ def unwrapped(name: str, env: gymnasium.Env, lookers: bool) -> gymnasium.Env:
             f"{name} is wrapped in {', '.join(others)}, which plans would not pass through; let the environment itself "
             "do what they do (actions in dynamics.control, goals and starts in reset), and make it without them"
         )
+    env = own
     for wrapper in reversed(around):
-        wrapper.env = env  # type: ignore[attr-defined]
+        wrapper.env = env
         env = wrapper
     return env
+
+
+def wrappers_around(env: gymnasium.Env) -> list[Any]:
+    """All of them, the outermost first."""
+    own, around = env.unwrapped, []
+    while env is not own:
+        around.append(env)
+        env = env.env  # type: ignore[attr-defined]
+    return around

@@ -36,7 +36,7 @@ def run(planner: str, arguments: list[str], prog: str | None = None) -> int:
     from planners.app.report import Report
     from planners.app.session import Session
     from planners.app.ticker import Ticker
-    from planners.app.video import Video
+    from planners.app.video import recorder
 
     torch.set_num_threads(1)  # d is a sliver of the work; its threads would fight the simulator's
     session = Session.open(config, options)
@@ -45,7 +45,7 @@ def run(planner: str, arguments: list[str], prog: str | None = None) -> int:
     report = Report(folder, session)
     report.announce(replaces)
     ticker = Ticker(options.episodes, episode_length(session.env_name))
-    video = Video(folder / "video.mp4", session.env.unwrapped) if options.video and options.render == "none" else None
+    video = recorder(folder / "video.mp4", session.env) if options.video and options.render == "none" else None
     field = DistanceField(session) if DistanceField.drawable(session) else None
     with warnings.catch_warnings():
         warnings.simplefilter("default")

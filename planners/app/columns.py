@@ -10,7 +10,8 @@ PLANNING = {
     "success": "at the goal in the last step; an episode ends once the goal was held for `--hold` steps in succession",
     "at goal in some step": "reached the goal, whether or not it held",
     "first hit, steps to goal": "control step at which the goal was first reached; its mean over those episodes",
-    "final gap": "straight line left to the goal at the end, in centimetres; of the claw, degrees left to turn",
+    "final gap": "straight line left to the goal at the end, in centimetres (claw: degrees left to turn; unknown "
+    "units: as they are)",
     "action rate": "mean squared change from one action to the next, actions in [-1, 1]: `--smooth` lowers it",
     "jerk": "root mean square of the end effector's jerk, m/s^3 (claw: of its joints, rad/s^3)",
     "ms per plan": "median wall time of a plan call, beside the control period that it may take in real time",

@@ -76,6 +76,9 @@ class PlanConfig(Generic[S]):
     sparse (nothing: only reaching the goal within the horizon counts), shortest_path (the true one,
     mazes only), or a function of your own as module:function, which maps achieved goals (B, G) and
     a goal (G,) to steps (B,)."""
+    reached: str | None = None
+    """Success test of an environment that is planned in by its own get_state and set_state and whose rewards are dense:
+    a radius in units of the goal, or module:function; default the one that the checkpoint was trained with."""
     where: Where = "mean"
     """Where the plan is charged for its steps to go: at its end, on average along it, or both."""
     action_of: ActionOf = "policy"

@@ -47,7 +47,8 @@ class EpisodeResult:
         desired_goal: where to, ``(G,)``.
         action_rate: mean squared change from one action to the next.
         jerk: root mean square of the end effector's jerk, m/s^3 (claw: of its joints, rad/s^3; tasks that
-            this package does not know: of the first three coordinates of the achieved goal).
+            this package does not know: of the first three coordinates of the achieved goal, where nobody knows how
+            long a control step lasts per step^3).
         seconds: wall time of the episode.
     """
 

@@ -51,6 +51,11 @@ def load_models(config: PlanConfig[Any], checkpoint: Path | None, given: Model |
     return [model, *ensemble]
 
 
+def success_test_of(config: PlanConfig[Any], models: Sequence[Model]) -> str | None:
+    """The success test that is asked for, or else that of the training; None is the task's own."""
+    return config.reached or (models[0].config.reached if models else None)
+
+
 def steps_to_go(config: PlanConfig[Any], models: Sequence[Model], world: Any) -> StepsToGo:
     """The estimate that ``--cost`` names.
 

@@ -12,7 +12,7 @@ import numpy as np
 from mpc.controller import Controller, Plan
 from mpc.cost import GivenSteps
 from napsp import envs as tasks
-from napsp.envs.wrappers import LOOKERS, STANDARD
+from napsp.envs.wrappers import LOOKERS, STANDARD, wrappers_around
 from napsp.errors import UserError, choose
 from napsp.library import Distance
 from planners.app.build import build_controller
@@ -92,14 +92,15 @@ def controller(
     if search not in SEARCHES:
         raise UserError(f"there is no search {search!r}; {choose(search, SEARCHES)}")
     world: Any = env.unwrapped
-    missing = [member for member in tasks.REQUIRED if not hasattr(world, member)]
+    missing = tasks.lacks(world)
+    if missing and tasks.plans_by_state(env):
+        raise UserError(f"{type(world).__name__} is planned in by its own state as what napsp.make makes of it; hand "
+                        "that over, with no wrapper around it that changes anything")  # fmt: skip
     if missing:
         raise UserError(f"{type(world).__name__} can not be planned in: it lacks {', '.join(missing)}, see "
                         "docs/environments.md")  # fmt: skip
-    around, own = env, []
-    while around is not world:
-        own += [] if isinstance(around, (*STANDARD, *LOOKERS)) else [type(around).__name__]
-        around = around.env  # type: ignore[attr-defined]
+    around = [wrapper for wrapper in wrappers_around(env) if not isinstance(wrapper, (*STANDARD, *LOOKERS))]
+    own = [type(wrapper).__name__ for wrapper in around]
     if own:
         raise UserError(f"the environment is wrapped in {', '.join(own)}, which plans would not pass through; plan in "
                         "it without them")  # fmt: skip

@@ -20,15 +20,22 @@ def plot_distance_to_go(path: Path, session: Session, results: list[EpisodeResul
     plt = _pyplot()
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
     world = session.env.unwrapped
-    radius, unit = world_gap(world, np.array(world.goal_radius))
+    unit = world_gap(world, np.zeros(1))[1]
+    label = f"gap to the goal [{unit}]" if unit else "gap to the goal"
     for result in results:
         color = "tab:blue" if result.success else "tab:red"
         steps = np.arange(1, len(result.steps) + 1)
         left.plot(steps, result.column("steps_to_go"), color=color, alpha=0.5, linewidth=1)
         right.plot(steps, world_gap(world, result.column("gap"))[0], color=color, alpha=0.5, linewidth=1)
     left.set(xlabel="control step", ylabel="steps to go", title=f"cost: {session.config.cost}")
-    right.set(xlabel="control step", ylabel=f"gap to the goal [{unit}]", title="blue: success, red: failure")
-    right.axhline(float(radius), color="black", linestyle=":", linewidth=1)
+    right.set(
+        xlabel="control step",
+        ylabel=label,
+        title="blue: success, red: failure",
+    )
+    if world.goal_radius is not None:
+        radius = float(world_gap(world, np.array(world.goal_radius))[0])
+        right.axhline(radius, color="black", linestyle=":", linewidth=1)
     for axis in (left, right):
         axis.set_ylim(bottom=0)
     figure.suptitle(f"{session.env_name}, {session.config.planner}, {len(results)} episodes")
@@ -47,13 +54,14 @@ def plot_steps(path: Path, session: Session, results: list[EpisodeResult]) -> No
         times.plot(steps, result.column("plan_ms"), **style)
         for axis in (costs, shares, times) if result.first_hit else ():
             axis.axvline(result.first_hit, color=f"C{k}", linestyle="--", linewidth=0.8, alpha=0.6)
-    period = 1e3 * session.control_period
-    times.axhline(period, color="black", linestyle=":", linewidth=1, label=f"control period, {period:.3g} ms")
+    if session.control_period is not None:
+        period = 1e3 * session.control_period
+        times.axhline(period, color="black", linestyle=":", linewidth=1, label=f"control period, {period:.3g} ms")
+        times.legend(fontsize=8)
     costs.set(ylabel="steps", title="cost of the executed plan (solid), distance to go after its action (dotted)")
     shares.set(ylabel="effective sample\nsize [% of samples]")
     times.set(ylabel="plan call [ms]", xlabel="control step (dashed: first at the goal)")
     costs.legend(fontsize=8)
-    times.legend(fontsize=8)
     for axis in (costs, shares, times):
         axis.set_ylim(bottom=0)
     figure.suptitle(f"{session.env_name}, {session.config.planner}, cost {session.config.cost}")

@@ -68,9 +68,10 @@ class Report:
         hit = f"first hit after {result.first_hit:3d} steps" if result.first_hit else "never at the goal      "
         left = np.mean([r.seconds for r in self.results]) * (total - n)
         gap, unit = world_gap(self._session.env.unwrapped, np.array(result.final_gap))
+        shown = f"{_shown(gap.item(), unit):>5s} {unit}".rstrip()
         self._console.print(
             f"  episode {n:3d}/{total}  {'success' if result.success else 'FAILURE'}  {hit}  "
-            f"final gap {gap:5.1f} {unit}  {np.median(result.plan_ms):6.1f} ms/plan  {left:4.0f} s left",
+            f"final gap {shown}  {np.median(result.plan_ms):6.1f} ms/plan  {left:4.0f} s left",
             highlight=False,
         )
 
@@ -88,7 +89,8 @@ class Report:
         hits = [r.first_hit for r in results if r.first_hit is not None]
         successes = sum(r.success for r in results)
         plan_ms = np.concatenate([r.plan_ms for r in results])
-        period_ms = 1e3 * self._session.control_period
+        period = self._session.control_period
+        period_ms = None if period is None else 1e3 * period
         return {
             **describe_session(self._session),
             "episodes": n,
@@ -101,7 +103,7 @@ class Report:
             "plan_ms_median": float(np.median(plan_ms)),
             "plan_ms_p95": float(np.percentile(plan_ms, 95)),
             "control_period_ms": period_ms,
-            "keeps_control_rate": bool(np.median(plan_ms) <= period_ms),
+            "keeps_control_rate": None if period_ms is None else bool(np.median(plan_ms) <= period_ms),
             "mean_action_rate": float(np.mean([r.action_rate for r in results])),
             "mean_jerk": float(np.mean([r.jerk for r in results])),
             "smoothing": self._session.smoothing_summary(),
@@ -125,13 +127,14 @@ class Report:
 
     def _print(self, summary: dict[str, Any]) -> None:
         steps, gaps = summary["mean_steps_to_goal"], np.array([result.final_gap for result in self.results])
+        period_ms = summary["control_period_ms"]
         shown, unit = world_gap(self._session.env.unwrapped, gaps)
         cells = {
             "success": describe(summary["success_rate"], summary["success_interval_95"]),
             "at goal in some step": describe(summary["any_success_rate"], summary["any_success_interval_95"]),
             "steps to goal": "-" if steps is None else f"{steps:.1f}",
-            f"final gap [{unit}]": f"{shown.mean():.1f}",
-            "ms per plan": f"{summary['plan_ms_median']:.0f} of {summary['control_period_ms']:.3g}",
+            f"final gap [{unit}]" if unit else "final gap": _shown(float(shown.mean()), unit),
+            "ms per plan": f"{summary['plan_ms_median']:.0f}" + (f" of {period_ms:.3g}" if period_ms else ""),
         }
         if self._session.config.smooth or self._session.config.low_pass:
             cells["action rate"] = f"{summary['mean_action_rate']:.4f}"
@@ -151,7 +154,8 @@ class Report:
                 f"verify {smoothing['verify_ms']:.1f}; built once in {smoothing['build_ms']:.1f}",
                 highlight=False,
             )
-        self._say(self._about_the_pace(summary["plan_ms_median"], summary["control_period_ms"]))
+        if period_ms is not None:
+            self._say(self._about_the_pace(summary["plan_ms_median"], period_ms))
         for line in self._notes:
             self._say(line)
         self._say(f"results: {self._folder}/summary.json, episodes.csv, steps.csv, steps.png, distance_to_go.png")
@@ -179,3 +183,8 @@ class Report:
 
     def _say(self, line: str) -> None:
         self._console.print(line, highlight=False, soft_wrap=True)
+
+
+def _shown(gap: float, unit: str) -> str:
+    """A gap as people read it; without a unit nobody knows which digits matter."""
+    return f"{gap:.1f}" if unit else f"{gap:.3g}"

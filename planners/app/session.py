@@ -22,7 +22,8 @@ from napsp.storage.checkpoint import Model
 from planners.app.build import build_controller
 from planners.app.config import PlanConfig
 from planners.app.episode import EpisodeResult, Step
-from planners.app.estimates import load_models
+from planners.app.estimates import load_models, success_test_of
+from planners.app.frames import draws_itself
 from planners.app.options import RunOptions
 from planners.app.world import check_goal, verify_task
 
@@ -68,10 +69,15 @@ class Session:
         """
         config, run = config.resolved(), run or RunOptions()
         models = load_models(config, run.checkpoint)
+        reached = success_test_of(config, models)
         # Classes of the user's own need not know render modes, so none is named unless one is asked for.
-        env = tasks.make(config.env, **({"render_mode": "human"} if run.render == "human" else {}))
+        env = tasks.make(config.env, reached, **({"render_mode": "human"} if run.render == "human" else {}))
+        if run.video and run.render == "none" and draws_itself(env):
+            env.close()
+            env = tasks.make(config.env, reached, render_mode="rgb_array")
         try:
-            verified = verify_task(config, run) if config.env not in CARDS and config.model.kind == "exact" else None
+            tried = config.env not in CARDS and config.model.kind == "exact"
+            verified = verify_task(config, run, reached) if tried else None
             controller = build_controller(config, run, models, env.unwrapped, verified.forks if verified else CAN_FORK)
         except BaseException:
             env.close()
@@ -84,9 +90,12 @@ class Session:
         return self.models[0] if self.models else None
 
     @property
-    def control_period(self) -> float:
-        """Seconds of simulated time that one action lasts."""
+    def control_period(self) -> float | None:
+        """Seconds of simulated time that one action lasts; None where nobody knows."""
         world = self.env.unwrapped
+        if world.model is None:
+            frames = world.metadata.get("render_fps")
+            return 1.0 / frames if frames else None
         return world.dynamics.substeps * world.model.opt.timestep
 
     @property
@@ -149,7 +158,7 @@ class Session:
         seconds = time.monotonic() - started
         return EpisodeResult(
             seed, success, first_hit, steps, np.array(actions), np.array(achieved_goals), goal,
-            action_rate(np.array(actions)), jerk(np.array(positions), self.control_period), seconds,
+            action_rate(np.array(actions)), jerk(np.array(positions), self.control_period or 1.0), seconds,
         )  # fmt: skip
 
     def _tell_of_blow_up(self, n_steps: int) -> None:

@@ -7,13 +7,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import imageio_ffmpeg
 import mujoco
 import numpy as np
 
 from mpc.controller import Plan
+from planners.app.frames import Film, OwnFrames
 
-WIDTH, HEIGHT, FRAMES_PER_SECOND = 640, 480, 12
+WIDTH, HEIGHT = 640, 480
 SHOWN_PLANS = 24
 LINE_WIDTH = 0.002  # radius of a plan's line, seen from one metre
 GOAL_COLOR = (0.1, 0.75, 0.2, 0.9)
@@ -39,13 +39,16 @@ def plan_color(badness: float) -> tuple[float, float, float, float]:
     return 0.15 + 0.8 * badness, 0.35, 0.95 - 0.75 * badness, 0.9 - 0.6 * badness
 
 
+def recorder(path: Path, env: Any) -> Video | OwnFrames:
+    """What makes the video of an environment."""
+    return OwnFrames(path, env) if env.unwrapped.model is None else Video(path, env.unwrapped)
+
+
 class Video:
     """Writes frames to an MP4; without a working GL library it stays silent and says so once."""
 
     def __init__(self, path: Path, world: Any) -> None:
-        self._path, self._world = path, world
-        self._partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-        self._writer: Any = None
+        self._world, self._film = world, Film(path)
         self._problem: str | None = None
         # Rendering must not touch the planner's world: everything here is a copy.
         self._model = model_to_draw(world)
@@ -72,16 +75,7 @@ class Video:
         image = self.image(observation, plan)
         if image is None:
             return
-        if self._writer is None:
-            self._writer = imageio_ffmpeg.write_frames(
-                str(self._partial),
-                (WIDTH, HEIGHT),
-                fps=FRAMES_PER_SECOND,
-                macro_block_size=16,
-                ffmpeg_log_level="error",
-            )
-            self._writer.send(None)
-        self._writer.send(np.ascontiguousarray(image))
+        self._film.add(image)
 
     def image(self, observation: dict[str, np.ndarray], plan: Plan) -> np.ndarray | None:
         """Pixels ``(HEIGHT, WIDTH, 3)`` of the world as it is now, with goal and plans; None without OpenGL."""
@@ -136,16 +130,10 @@ class Video:
         """Finish the file; return the line to show the user."""
         if self._renderer is not None:
             self._renderer.close()
-        if self._writer is not None:
-            self._writer.close()
-            self._partial.replace(self._path)
-            return f"video: {self._path}"
-        return self._problem or "no video: no frames"
+        return self._film.close() or self._problem or "no video: no frames"
 
     def abandon(self) -> None:
         """Let go of OpenGL and the encoder, and leave no file: the episode will not be finished."""
         if self._renderer is not None:
             self._renderer.close()
-        if self._writer is not None:
-            self._writer.close()
-            self._partial.unlink(missing_ok=True)
+        self._film.abandon()

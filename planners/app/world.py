@@ -15,7 +15,7 @@ from napsp import envs as tasks
 from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import Dynamics
 from napsp.envs.lean import lean, refresh, still_serves
-from napsp.envs.watch import Watched, WatchedDynamics
+from napsp.envs.watch import watched
 from napsp.errors import UserError, describe_failure
 from napsp.policy.greedy import GreedyPolicy
 from napsp.policy.greedy_distance import GreedyDistance
@@ -70,7 +70,7 @@ class Planned:
         world = self._world
         self._own, self._model = world.dynamics, world.model
         self._dynamics = planned_dynamics(self._config, world)
-        self._watched = Watched(self._own.model), WatchedDynamics(self._own)
+        self._watched = watched(self._own)
 
     def __call__(self) -> Dynamics:
         """The dynamics to plan in."""
@@ -78,7 +78,7 @@ class Planned:
         if world.dynamics is not self._own or world.model is not self._model:
             self._make()
         elif self._dynamics is not self._own:
-            numbers, attributes = (watched.changed() for watched in self._watched)
+            numbers, attributes = (part.changed() for part in self._watched)
             if attributes or (numbers and not still_serves(self._dynamics)):
                 self._make()
             elif numbers:
@@ -86,13 +86,18 @@ class Planned:
         return self._dynamics
 
 
-def verify_task(config: PlanConfig[Any], run: RunOptions) -> Verified:
+def verify_task(config: PlanConfig[Any], run: RunOptions, reached: str | None = None) -> Verified:
     """Try on another environment of the same kind whether plans of a session would come true.
+
+    Args:
+        config: how plans are made, with the task's values.
+        run: its threads count.
+        reached: the success test of the session.
 
     Raises:
         UserError: the environment fails; the sentence says where.
     """
-    env = tasks.make(config.env)
+    env = tasks.make(config.env, reached)
     planned = Planned(config, env.unwrapped)
     try:
         with RolloutEngine(planned(), run.threads, source=planned) as engine:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planners.app.studio.opening import period_of
 from planners.app.studio.trial import Lived, Scenery
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class Curves:
         if newest is self._drawn:
             return
         self._drawn = newest
-        found = columns(newest.lived, 1e3 * newest.session.control_period)
+        found = columns(newest.lived, 1e3 * period_of(newest.session))
         for chart, data in zip(self._charts, found, strict=True):
             chart.data = data
 

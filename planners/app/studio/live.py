@@ -14,9 +14,9 @@ import numpy as np
 
 from napsp.envs.state import get_state
 from napsp.errors import UserError
-from planners.app.session import Session
 from planners.app.studio.choices import Choices
 from planners.app.studio.newest import NewestPlan
+from planners.app.studio.opening import open_session, period_of
 from planners.app.studio.trial import Scenery, Trial
 
 PATIENCE = 0.5  # seconds that a paused simulation looks for orders before it looks whether it should end
@@ -55,7 +55,7 @@ class Live:
         self._newest: NewestPlan | None = None
         self._due = 0.0
         self._closing = False
-        self._session = Session.open(choices.plan, choices.run)
+        self._session = open_session(choices)
         self._trial = Trial(self._session, choices.run.seed)
         self.scenery: Scenery = self._trial.scenery()
         self._thread = threading.Thread(target=self._work, name="simulation", daemon=True)
@@ -172,7 +172,7 @@ class Live:
             trial.execute(planned.action(number), planned.plan, planned.cost, 1e3 * late, number - planned.job.number)
             self._offer(self._newest)
         # A step that is itself late does not make the next ones hurry.
-        self._due = max(self._due + self._session.control_period, time.monotonic())
+        self._due = max(self._due + period_of(self._session), time.monotonic())
 
     def _offer(self, newest: NewestPlan) -> None:
         world, here = self._trial.world, self._trial.observation
@@ -200,7 +200,7 @@ class Live:
             choices = choices.changed(name, value)
         # A goal put elsewhere stays there, unless it belongs to another episode now.
         moved = self._trial.observation["desired_goal"] if not {"env", "seed"} & asked.keys() else None
-        session = Session.open(choices.plan, choices.run)  # the old one goes on if this is impossible
+        session = open_session(choices)  # the old one goes on if this is impossible
         try:
             trial = Trial(session, choices.run.seed)
         except BaseException:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from napsp import envs as tasks
+from planners.app.studio.opening import period_of
 from planners.app.studio.trial import Scenery
 
 RECENT = 10  # control steps that are summed up
@@ -30,7 +31,7 @@ def lateness(scenery: Scenery, realtime: bool) -> str:
     lived = scenery.lived[-RECENT:]
     if not lived:
         return f"{way}."
-    period = 1e3 * scenery.session.control_period
+    period = 1e3 * period_of(scenery.session)
     took = float(np.median([one.step.plan_ms for one in lived]))
     if realtime:
         steps, late = np.mean([one.late_steps for one in lived]), np.mean([one.late_ms for one in lived])
