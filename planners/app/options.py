@@ -85,8 +85,8 @@ def parse(
 ) -> tuple[PlanConfig[Any], RunOptions]:
     """The configuration and the circumstances that a command line asks for.
 
-    ``others`` are options that the command has beside these, and may have been meant by one that is unknown; ``prog`` is
-    the command, ``python -m planners.NAME`` if None.
+    ``others`` are options that the command has beside these, and may have been meant by one that is unknown; ``prog``
+    is the command, ``python -m planners.NAME`` if None.
 
     Raises:
         UserError: an option has another name now, or a value is out of its range or does not fit the others.
