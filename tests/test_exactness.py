@@ -1,7 +1,11 @@
-"""Models drawn from parts: whatever a task is made of, a plan is what the environment then does, in every path."""
+"""Models drawn from parts: whatever a task is made of, a plan is what the environment then does, in every path.
+
+``NAPSP_MODELS=500`` draws more of them.
+"""
+
+import os
 
 import numpy as np
-import pytest
 from drawn import drawn_tasks
 from hypothesis import HealthCheck, given, settings
 
@@ -12,8 +16,8 @@ from napsp.envs.dynamics import get_state
 
 N_STEPS, WITHIN = 5, "from within a trace"
 ENGINES = ((1, False), (2, False), (2, CAN_FORK), (8, False))
-few = settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-many = settings(few, max_examples=500)
+N = int(os.environ.get("NAPSP_MODELS", "60"))
+drawn_often = settings(max_examples=N, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
 def plans_come_true(task, before):
@@ -47,14 +51,7 @@ def plans_come_true(task, before):
     return not lost
 
 
-@few
+@drawn_often
 @given(drawn_tasks())
 def test_plans_come_true_in_every_path(drawn):
-    plans_come_true(*drawn)
-
-
-@pytest.mark.slow
-@many
-@given(drawn_tasks())
-def test_plans_of_many_tasks_come_true_in_every_path(drawn):
     plans_come_true(*drawn)

@@ -252,5 +252,5 @@ def test_the_documented_commands_do_what_the_page_says(tmp_path):
     command(tmp_path, *training)
     command(tmp_path, *evaluation, "--out", "found.json")
     assert json.loads((tmp_path / "found.json").read_text())["success_rate"] >= 0.9
-    command(tmp_path, *planning, "--out", "plans")
+    command(tmp_path, *planning, "--out", "plans", "--episodes", "2", "--hold", "3")
     assert json.loads((tmp_path / "plans" / "summary.json").read_text())["success_rate"] == 1.0

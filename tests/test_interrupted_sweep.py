@@ -8,14 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import heard
 
-COMMAND = [sys.executable, "-m", "benchmarks.sweep", "--envs", "point_maze", "--methods", "sparse"]
+COMMAND = [sys.executable, "-m", "benchmarks.sweep", "--envs", "fetch_reach", "--methods", "sparse"]
 CELL = ["--n-episodes", "400"]
-
-
-def heard():
-    """Ctrl-C, also where these tests run in the background of a script, which ignores it and hands that on."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.mark.slow

@@ -88,8 +88,9 @@ def check_resolution(env: Any, name: str, start: dict[str, np.ndarray]) -> None:
         start: an observation after a reset.
 
     Raises:
-        UserError: its goals are too far from the origin for how close a success has to be.
+        UserError: its goals are too far from the origin for how close a success has to be, or not finite.
     """
+    check_finite(start, name)
     goals = np.stack([start["achieved_goal"], start["desired_goal"]]).astype(np.float64)
     if (goals.astype(np.float32) == goals).all():
         return
