@@ -36,3 +36,8 @@ def worlds():
     yield made
     for world in made.values():
         world.close()
+
+
+def pytest_collection_modifyitems(items):
+    """Long tests first: of several workers none then begins one when the others are done."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
