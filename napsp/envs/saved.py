@@ -6,7 +6,7 @@ instances of it, so they are as exact as the state is complete, and as fast as i
 
 from __future__ import annotations
 
-import pickle
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -24,12 +24,12 @@ class Moment:
     """What a simulation starts from.
 
     Attributes:
-        saved: what ``get_state`` answered, pickled: no simulation shares parts of it with the environment.
+        saved: a copy of what ``get_state`` answered: no simulation shares parts of it with the environment.
         end: features ``(F,)`` that stay, once the episode has ended; None while it goes on.
         crashed: whether it ended elsewhere than at its desired goal.
     """
 
-    saved: bytes
+    saved: Any
     end: np.ndarray | None = None
     crashed: bool = False
 
@@ -52,7 +52,7 @@ class SavedSimulator:
 
     def begin(self, state: Moment) -> None:
         """Restore a state."""
-        self._world.set_state(pickle.loads(state.saved))  # type: ignore[attr-defined]
+        self._world.set_state(copy.deepcopy(state.saved))  # type: ignore[attr-defined]
         self._end, self._crashed = state.end, state.crashed
 
     def advance(self, controls: np.ndarray, features: np.ndarray) -> None:
@@ -112,6 +112,6 @@ def saves_state(world: Any) -> bool:
     return all(callable(getattr(world, method, None)) for method in PROTOCOL)
 
 
-def saved_state(world: Any) -> bytes:
-    """The state of an environment (unwrapped), which goes on without it."""
-    return pickle.dumps(world.get_state(), pickle.HIGHEST_PROTOCOL)
+def saved_state(world: Any) -> Any:
+    """A copy of the state of an environment (unwrapped), which goes on without it."""
+    return copy.deepcopy(world.get_state())

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import pickle
+import copy
 import warnings
 from collections.abc import Callable
+from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 import gymnasium
@@ -123,8 +124,9 @@ def _check_state(one: Any, other: Any, name: str) -> None:
     doing = "get_state()"
     try:
         saved = saved_state(one)
+        ForkingPickler.dumps(saved)  # as it goes to helper processes
         doing = "set_state(state)"
-        other.set_state(pickle.loads(saved))
+        other.set_state(copy.deepcopy(saved))
     except Exception as error:
         hint = "; let it return what pickle can copy" if doing == "get_state()" else ""
         raise UserError(f"{doing} of {name} failed with {describe_failure(error)}{hint}") from error
