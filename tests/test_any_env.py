@@ -12,6 +12,7 @@ from napsp import envs
 from napsp.config import preset
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError
+from planners.app.cli import run as planned
 
 STOCK = [
     "FetchPush-v4",
@@ -232,7 +233,7 @@ def test_an_id_of_a_package_is_spelled_as_gymnasium_spells_it(tmp_path, monkeypa
 
 
 @pytest.mark.slow
-def test_a_class_of_the_users_own_trains_and_plans(tmp_path):
+def test_a_class_of_the_users_own_trains_and_plans(tmp_path, monkeypatch, capsys):
     (tmp_path / "my_maze.py").write_text(USER_MODULE)
     task = ["--env", "my_maze:BigMaze"]
 
@@ -248,7 +249,9 @@ def test_a_class_of_the_users_own_trains_and_plans(tmp_path):
     assert (checkpoint / "model.safetensors").is_file()
     plan = ["--episodes", "1", "--samples", "8", "--no-video", "--horizon", "4"]
     assert "distance" in run("planners.mppi", *task, *plan, "--checkpoint", str(checkpoint))
-    assert "euclidean" in run("planners.icem", *task, *plan, "--cost", "euclidean")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert planned("icem", [*task, *plan, "--cost", "euclidean"]) == 0 and "euclidean" in capsys.readouterr().out
     assert list(tmp_path.glob("plans/my_maze-BigMaze-icem-euclidean-s90000-*/summary.json"))
-    run("planners.cem", *task, *plan, "--samples", "12", "--cost", "my_maze:far")
+    assert planned("cem", [*task, *plan, "--samples", "12", "--cost", "my_maze:far"]) == 0
     assert list(tmp_path.glob("plans/my_maze-BigMaze-cem-my_maze-far-s90000-*/summary.json"))

@@ -3,12 +3,14 @@
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import in_this_process
 from gymnasium import spaces
 from tiny import tiny
 
@@ -19,7 +21,6 @@ from napsp.storage.checkpoint import MODEL_FILE, load_model, shipped_model
 from napsp.train import train
 from planners.app.cli import run
 
-ROOT = Path(__file__).parent.parent
 SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")
 
 
@@ -136,23 +137,24 @@ def test_every_planner_can_smooth_and_reports_it(planner, tmp_path, capsys):
     ("return achieved", "returned shape (512, 2) for 512 goals; return a number per goal"),
     ("return 'far'", "returned str; return one number per goal"),
 ])  # fmt: skip
-def test_a_cost_of_ones_own_that_fails_is_named_and_leaves_no_video(body, words, tmp_path):
+def test_a_cost_of_ones_own_that_fails_is_named_and_leaves_no_video(body, words, tmp_path, monkeypatch, capsys):
     late = "    calls.append(goal)\n    if len(calls) > 8 and len(achieved) == 512:"  # after some frames of the video
     text = f"calls = []\ndef steps(achieved, goal):\n{late}\n        {body}\n    return 0.0 * achieved[:, 0]\n"
     (tmp_path / "my_cost.py").write_text(text)
-    arguments = ("--env", "point_maze", "--cost", "my_cost:steps", "--out", str(tmp_path / "out"))
-    result = command("planners.mppi", *arguments, PYTHONPATH=os.pathsep.join([str(tmp_path), str(ROOT)]))
-    assert result.returncode == 2 and words in result.stderr and len(result.stderr.strip().splitlines()) == 1
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "my_cost", raising=False)
+    with pytest.raises(UserError, match=re.escape(words)) as said:
+        run("mppi", ["--env", "point_maze", "--cost", "my_cost:steps", "--out", str(tmp_path / "out")])
+    assert len(str(said.value).splitlines()) == 1
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_module_of_ones_own_that_fails_is_named(tmp_path):
+@pytest.mark.parametrize("arguments", [["my_task:Env"], ["point_maze", "--cost", "my_task:steps"]])
+def test_a_module_of_ones_own_that_fails_is_named(arguments, tmp_path, monkeypatch):
     (tmp_path / "my_task.py").write_text("1 / 0\n")
-    path = os.pathsep.join([str(tmp_path), str(ROOT)])
-    for arguments in (["--env", "my_task:Env"], ["--env", "point_maze", "--cost", "my_task:steps"]):
-        result = command("planners.mppi", *arguments, PYTHONPATH=path)
-        assert result.returncode == 2 and "cannot load my_task" in result.stderr
-        assert "ZeroDivisionError" in result.stderr and "Traceback" not in result.stderr
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(UserError, match=r"cannot load my_task.*ZeroDivisionError"):
+        run("mppi", ["--env", *arguments, "--out", str(tmp_path / "out")])
 
 
 def test_a_checkpoint_of_another_version_of_a_task_is_refused():
@@ -213,10 +215,11 @@ def test_a_shipped_checkpoint_has_a_name(tmp_path, monkeypatch):
         load_model("fetch_pick_place_first_arrival", "fetch_pick_place")
 
 
-def test_evaluate_runs_the_shipped_policy(tmp_path):
-    result = command("napsp.evaluate", "--env", "fetch_wall", "--episodes", "4", "--out", str(tmp_path / "e.json"))
-    assert result.returncode == 0, result.stderr
-    assert json.loads((tmp_path / "e.json").read_text())["success_rate"] == 1.0
+def test_evaluate_runs_the_shipped_policy(tmp_path, capsys, monkeypatch):
+    out = tmp_path / "e.json"
+    arguments = ("--env", "fetch_wall", "--episodes", "4", "--out", str(out))
+    status, said = in_this_process("napsp.evaluate", *arguments, capsys=capsys, monkeypatch=monkeypatch)
+    assert not status and not said and json.loads(out.read_text())["success_rate"] == 1.0
 
 
 def test_wilson_interval_against_the_textbook():

@@ -61,8 +61,15 @@ def draw_curve(path: Path, config: TrainConfig, rows: list[Row]) -> None:
         "distance [steps]": ("mean_distance", "distance_at_goal"),
         "rates of eq. 4b": ("merging_rate", "relaxation_rate"),
     }
-    figure = Figure(figsize=(10, 2.8), layout="constrained")
-    for axis, (title, names) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
+    figure = Figure(figsize=(10, 2.8))
+    margins = {
+        "left": 0.05,
+        "right": 0.99,
+        "bottom": 0.18,
+        "top": 0.81,
+        "wspace": 0.2,
+    }  # layouts that fit draw all twice
+    for axis, (title, names) in zip(figure.subplots(1, len(panels), gridspec_kw=margins), panels.items(), strict=True):
         for name in names:
             points = [(row["episodes"], row[name]) for row in rows if name in row]
             if points:
