@@ -217,13 +217,16 @@ def draw(env_name: str, episodes: int = 50, seed: int = 90_000, training_seed: i
     own = (row for row in read_results(FILE) if row["env"] == env_name)
     found = comparable(own, episodes, seed, training_seed)
     rows = [row for row in found if row["line"].in_figures]
-    several = len({row["line"] for row in rows}) > 1
+    kinds = list(dict.fromkeys(row["line"] for row in rows))
+    several = len(kinds) > 1
     last, panels = max((int(row["training_episodes"]) for row in rows), default=0), {}
+    looks: dict[str, dict[str, Any]] = {}
     for x in ("budget", "training_episodes"):
         lines: dict[str, list[tuple[int, float]]] = {}
         for row in rows:
             name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
             name += f" ({row['line'].name})" if several else ""
+            looks[name] = _look(row["planner"], row["proposals"] == "1", kinds.index(row["line"]))
             if (int(row["training_episodes"]) == last) if x == "budget" else (row["budget"] in ("0", "64")):
                 lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
         if any(len(points) > 1 for points in lines.values()):
@@ -231,23 +234,31 @@ def draw(env_name: str, episodes: int = 50, seed: int = 90_000, training_seed: i
     path = RESULTS / f"policy_vs_mpc_{tasks.file_name(env_name)}.png"
     if not panels:  # one budget and one checkpoint each: the table says it all
         return None
-    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3), layout="constrained")
-    names = sorted({name for lines in panels.values() for name in lines if not name.startswith("policy")})
-    colours = {name: f"C{i}" for i, name in enumerate(names)}
+    size = (5.2 if len(panels) == 1 else 8, 3 + (0.2 if several else 0.1) * len(looks))
+    figure, axes = plt.subplots(1, len(panels), figsize=size, layout="constrained")
     for axis, (x, lines) in zip(np.atleast_1d(axes), panels.items(), strict=True):
         for name, points in lines.items():
             if name.startswith("policy") and x == "budget":
-                axis.axhline(points[0][1], color="black", linestyle=":", label=name)
+                axis.axhline(points[0][1], label=name, **looks[name] | {"linestyle": ":"})
             elif x == "budget" or len(points) > 1:  # single points stand in the other panel
-                style = {"marker": "o", "markersize": 3, "color": colours.get(name, "black")}
-                axis.plot(*zip(*sorted(points), strict=True), label=name, **style)
+                axis.plot(*zip(*sorted(points), strict=True), label=name, **looks[name])
         axis.set(
             xlabel={"budget": "plans per control step"}.get(x, "training episodes"), ylabel="success", ylim=(0, 1.05)
         )
-        axis.legend(fontsize=6)
+    handles = [axis.get_legend_handles_labels() for axis in figure.axes]
+    labelled = {name: line for lines, names in handles for line, name in zip(lines, names, strict=True)}
+    figure.legend(labelled.values(), labelled.keys(), fontsize=7, ncols=1 if several else 2, loc="outside lower center")
     figure.suptitle(env_name if several else f"{env_name}, {rows[0]['line'].name}", fontsize=10)
     save_figure(figure, path)
     return path
+
+
+def _look(planner: str, proposals: bool, kind: int) -> dict[str, Any]:
+    """A colour for each planner, in every figure; hollow without the policy's rollout; markers tell methods apart."""
+    colour = f"C{PLANNERS.index(planner.removesuffix(SMOOTHING))}" if planner != "policy" else "black"
+    own, marker = proposals or planner == "policy", "s" if planner.endswith(SMOOTHING) else "o^vD"[kind % 4]
+    return {"color": colour, "linestyle": "-" if own else "--", "marker": marker, "markersize": 4,
+            "markerfacecolor": colour if own else "white"}  # fmt: skip
 
 
 def main() -> int:
