@@ -153,6 +153,7 @@ def test_a_cost_of_ones_own_that_fails_is_named_and_leaves_no_video(body, words,
 def test_a_module_of_ones_own_that_fails_is_named(arguments, tmp_path, monkeypatch):
     (tmp_path / "my_task.py").write_text("1 / 0\n")
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "my_task", raising=False)  # one of other tests
     with pytest.raises(UserError, match=r"cannot load my_task.*ZeroDivisionError"):
         run("mppi", ["--env", *arguments, "--out", str(tmp_path / "out")])
 
