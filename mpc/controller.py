@@ -98,6 +98,13 @@ class Plan:
     milliseconds: float
     smoothing_ms: float = 0.0
 
+    def __repr__(self) -> str:
+        """The action to take, and how the samples fared."""
+        action = np.array2string(self.action, precision=3, suppress_small=True)
+        best = self.costs[self.cheapest(1)].min(initial=np.inf)
+        tried = f"{len(self.costs)} samples of {len(self.actions)} steps, the best costs {best:.2f}"
+        return f"<plan: action {action}, {tried}, {self.milliseconds:.1f} ms>"
+
     def cheapest(self, n: int) -> np.ndarray:
         """Indices of the (at most) n samples of least cost, the best first; diverged ones are left out."""
         finite = np.flatnonzero(np.isfinite(self.costs))

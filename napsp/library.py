@@ -53,6 +53,11 @@ class Distance:
 
     model: Model
 
+    def __repr__(self) -> str:
+        """A line, not all weights' shapes: notebooks show it."""
+        trained = f"{self.model.config.method}, {self.model.header['episodes']} episodes"
+        return f"<d(s, a, g) of {self.task}: {trained}, at most {self.episode_length} steps>"
+
     @property
     def task(self) -> str:
         """Name of the task that it was trained on."""

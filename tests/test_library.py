@@ -12,7 +12,9 @@ import torch
 from tiny import TINY, learned, tiny
 
 import napsp
+from mpc.controller import Plan
 from napsp import evaluate as evaluate_command
+from napsp.data.outcomes import Outcomes
 from napsp.errors import UserError
 from napsp.policy.greedy import GreedyPolicy
 from napsp.train import train as train_command
@@ -44,6 +46,15 @@ def test_nothing_heavy_is_imported_before_it_is_asked_for():
     assert napsp.__version__ == declared and set(napsp.__all__) <= set(dir(napsp))
     with pytest.raises(AttributeError, match="no attribute 'lode'"):
         napsp.lode  # noqa: B018
+
+
+def test_what_a_notebook_shows_is_a_line(distance):
+    assert repr(distance) == "<d(s, a, g) of fetch_wall: ours, 500 episodes, at most 50 steps>"
+    reached = np.array([[False, True], [True, False], [False, False], [True, True]])
+    found = Outcomes(reached, np.zeros((4, 2)))
+    assert repr(found) == "<4 episodes: success 0.50 [0.15, 0.85], at the goal in some step 0.75>"
+    plan = Plan(np.array([0.5, -1.0]), np.zeros((7, 2)), None, np.array([np.inf, 3.0, np.nan]), 1.0, 4.0)
+    assert repr(plan) == "<plan: action [ 0.5 -1. ], 3 samples of 7 steps, the best costs 3.00, 4.0 ms>"
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64, np.float16, torch.float32, torch.float64])

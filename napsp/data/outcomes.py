@@ -10,6 +10,7 @@ import numpy as np
 from napsp.data.collect import Actor, roll
 from napsp.data.episodes import BLOWN, Episodes, concatenate
 from napsp.settings import MANY, check_ranges
+from napsp.statistics import describe, wilson_interval
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,12 @@ class Outcomes:
 
     reached: np.ndarray
     gaps: np.ndarray
+
+    def __repr__(self) -> str:
+        """What they say, with 95 % Wilson intervals."""
+        n, at_end = len(self.reached), int(self.reached[:, -1].sum())
+        success = describe(self.success_rate, wilson_interval(at_end, n))
+        return f"<{n} episodes: success {success}, at the goal in some step {self.any_success_rate:.2f}>"
 
     @property
     def success_rate(self) -> float:
