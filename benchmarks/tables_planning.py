@@ -18,12 +18,10 @@ def glance_table() -> list[str]:
     lines = [
         "### At a glance",
         "",
-        "Success in the last step on 50 fresh episodes, 95 % Wilson interval. The planner is MPPI, for pick and place iCEM, with the",
-        "learned distance, 64 simulated plans per control step, the policy's rollout among them; *d alone* is the same without that rollout,",
-        "*straight line* MPPI with that cost and 64 plans on 50 other fresh episodes. *Planner minus policy* compares the same episodes",
-        "(Newcombe's paired 95 % interval). Policy and distance are those of the checkpoints that ship, of *ours* under the task's name and",
-        "of *plus* as `TASK_plus`: one training run each, so the intervals do not cover the spread between runs. *Steps to goal* average",
-        "over the episodes that got there at all.",
+        "Success in the last step of 50 fresh episodes, 95 % Wilson interval, of the checkpoints that ship (*plus*: `TASK_plus`), one training",
+        "run each. *Planner*: MPPI, for pick and place iCEM, with the learned distance, 64 plans per control step, the policy's rollout among",
+        "them; *d alone*: without that rollout; *straight line*: MPPI with that cost, on 50 other episodes. *Planner minus policy*: on the",
+        "same episodes, Newcombe's paired interval. *Steps to goal*: over the episodes that got there.",
         "",
         "| task | training | straight line | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
         "|---|---|---|---|---|---|---|---|",
@@ -67,15 +65,17 @@ def _glance(env: str, variant: str) -> list[str]:
     rows = _glanced(env, variant)
     line = _success(rows["straight line"]) if "straight line" in rows else "not run"
     policy, plans, alone = (rows.get(column) for column in ("policy", "planner", "d alone"))
-    if policy is None or plans is None:
+    if policy is None:
         return [f"{'plus' if variant else 'ours'}, not run", line, "", "", "", "", ""]
+    cells = [f"{policy['line'].name}, {policy['training_episodes']} episodes", line, _success(policy)]
+    cells.append(_success(alone) if alone else "not run")
+    steps = [f"{float(row['mean_steps_to_goal'] or 'nan'):.1f}" if row else "-" for row in (policy, plans)]
+    steps_to_goal = " / ".join(steps).replace("nan", "-")
+    if plans is None:
+        return [*cells, "not run", "", steps_to_goal]
     gain, (low, high) = paired_proportions(*([float(hit) for hit in row["successes"]] for row in (plans, policy)))
-    steps = [f"{float(row['mean_steps_to_goal'] or 'nan'):.1f}" for row in (policy, plans)]
-    return [
-        f"{policy['line'].name}, {policy['training_episodes']} episodes",
-        line, _success(policy), _success(alone) if alone else "not run", f"{_success(plans)} {plans['planner']}",
-        f"{gain:+.2f} [{low:+.2f}, {high:+.2f}]", " / ".join(steps).replace("nan", "-"),
-    ]  # fmt: skip
+    difference = f"{gain:+.2f} [{low:+.2f}, {high:+.2f}]"
+    return [*cells, f"{_success(plans)} {plans['planner']}", difference, steps_to_goal]
 
 
 def _success(row: dict[str, str]) -> str:
