@@ -238,7 +238,7 @@ def command(folder, *arguments):
 
 @pytest.mark.slow
 def test_the_documented_commands_do_what_the_page_says(tmp_path):
-    """With 120 episodes of training (all 50 of 50 goals are held after the page's 300, 8 in 10 here)."""
+    """With 120 episodes of training in place of 300, after which goals are reached and not all held."""
     training, evaluation, planning = page(tmp_path)
     said = command(tmp_path, *training, "--n-episodes", "120")
     assert "next: python -m planners.mppi --env point:Point" in said
