@@ -31,7 +31,7 @@ def glance_table() -> list[str]:
     if HALF_TRAINED.is_file():
         lines += [
             "",
-            "A planner can use a half-trained distance long before the policy that learns from it works (right):",
+            "A half-trained d plans long before its policy works (right):",
             "",
         ]
         lines += [f"![Success of policy and planners on point_maze over budgets and training episodes]({HALF_TRAINED})"]
