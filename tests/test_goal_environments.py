@@ -238,12 +238,10 @@ def command(folder, *arguments):
 
 @pytest.mark.slow
 def test_the_documented_commands_do_what_the_page_says(tmp_path):
-    """With 120 episodes of training in place of 300, after which goals are reached and not all held."""
     training, evaluation, planning = page(tmp_path)
-    said = command(tmp_path, *training, "--n-episodes", "120")
-    assert "next: python -m planners.mppi --env point:Point" in said
+    assert "next: python -m planners.mppi --env point:Point" in command(tmp_path, *training)
     assert "policy on point:Point" in command(tmp_path, *evaluation, "--out", "found.json")
-    assert json.loads((tmp_path / "found.json").read_text())["any_success_rate"] >= 0.4
-    said = command(tmp_path, *planning, "--out", "plans", "--episodes", "2", "--hold", "3", "--samples", "16")
+    assert json.loads((tmp_path / "found.json").read_text())["success_rate"] >= 0.9
+    said = command(tmp_path, *planning, "--out", "plans", "--episodes", "2", "--hold", "3")
     assert "16 steps of 2 episodes came as planned, to the bit" in said
-    assert json.loads((tmp_path / "plans" / "summary.json").read_text())["any_success_rate"] == 1.0
+    assert json.loads((tmp_path / "plans" / "summary.json").read_text())["success_rate"] == 1.0

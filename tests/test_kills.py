@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-N = int(os.environ.get("NAPSP_KILLS", "2"))
+N = int(os.environ.get("NAPSP_KILLS", "3"))
 
 
 @pytest.mark.slow

@@ -43,7 +43,7 @@ def test_a_car_is_parked_when_its_environment_says_so(parking):
 def test_the_commands_of_the_page_train_and_evaluate(tmp_path):
     (tmp_path / "parking.py").write_text(CODE)
     _, training, evaluation = (line.split() for line in COMMANDS.splitlines())
-    short = as_flags({**TINY, "n_warmup_episodes": 2, "n_episodes": 4, "evaluate.n_episodes": 1}).split()
+    short = as_flags({**TINY, "n_episodes": 8}).split()
     for words in ([*training[1:], *short], [*evaluation[1:], "--episodes", "1"]):
         done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr

@@ -9,15 +9,17 @@ import sys
 import threading
 import time
 
+import numpy as np
 import pytest
 import torch
-from tiny import content, fingerprint, learned, tiny
+from tiny import TINY, content, fingerprint, learned, tiny
 
 from napsp.config import METHODS
 from napsp.distance.counts import CountModel
 from napsp.errors import UserError
 from napsp.learner import Learner
 from napsp.run import Run
+from napsp.settings import as_flags
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors, write_tensors
 from napsp.storage.resume import read_training
@@ -75,6 +77,29 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
     resumed = train(tiny(**changes), tmp_path / "parts")
     assert learned(resumed) == learned(whole)
     assert fingerprint(tmp_path / "parts") == fingerprint(tmp_path / "whole")
+
+
+def test_killed_at_a_random_moment_it_continues(tmp_path):
+    command = [sys.executable, "-m", "napsp.train", "--env", "point_maze", "--out", str(tmp_path / "run")]
+    command += as_flags({**TINY, "n_episodes": 4000}).split()
+    done = []
+    for pause in np.random.default_rng(0).uniform(0.3, 1.5, 2):
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        state = tmp_path / "run" / STATE_FILE
+        deadline = time.monotonic() + 60
+        before = state.stat().st_mtime_ns if state.is_file() else 0
+        while time.monotonic() < deadline and (not state.is_file() or state.stat().st_mtime_ns == before):
+            time.sleep(0.05)
+        time.sleep(pause)
+        process.send_signal(signal.SIGKILL)
+        output = process.communicate()[0]
+        assert "Traceback" not in output
+        header = read_tensors(state, "training state")[1]
+        done.append(header["iteration"])
+    assert "continuing" in output and done[1] > done[0] > 0
+    with open(tmp_path / "run" / "metrics.csv", newline="") as file:
+        episodes = [float(row["episodes"]) for row in csv.DictReader(file)]
+    assert episodes == sorted(set(episodes)), "a resumed run must not repeat rows"
 
 
 def test_rescaling_counts_everything_again(tmp_path):
