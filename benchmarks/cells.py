@@ -18,11 +18,11 @@ from napsp.envs import file_name
 from napsp.errors import UserError
 from napsp.execution import Execution
 from napsp.storage import lock
-from napsp.storage.checkpoint import SHIPPED, shipped_model
 from napsp.storage.files import read_json, sound, write_atomically, write_json
 from napsp.storage.progress import read_rows
 from napsp.storage.record import RECORD_FILE
 from napsp.storage.revision import git_revision
+from napsp.storage.shipped import SHIPPED, shipped_model
 from napsp.train import train
 
 RESULTS = Path("results")

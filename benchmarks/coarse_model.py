@@ -25,7 +25,8 @@ from napsp.envs.coarse import coarse
 from napsp.envs.dynamics import get_state
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
-from napsp.storage.checkpoint import load_model, shipped_model
+from napsp.storage.checkpoint import load_model
+from napsp.storage.shipped import shipped_model
 from planners.app.config import PlanConfig
 
 KEY = ("env", "actions", "horizon", "substeps")

@@ -31,9 +31,10 @@ from napsp.errors import run_command
 from napsp.learner import scaling_of
 from napsp.run import EVALUATION_SEED, warm_up
 from napsp.settings import to_dict
-from napsp.storage.checkpoint import MODEL_FILE, SHIPPED, load_model, shipped_model, sizes_of
+from napsp.storage.checkpoint import load_model, sizes_of
 from napsp.storage.files import write_json
 from napsp.storage.revision import git_revision
+from napsp.storage.shipped import shipped_model, shipped_names
 
 N_RECENT = 64  # episodes whose (s, a) are asked about: eq. 4b asks about the latest ones
 
@@ -153,7 +154,7 @@ def play(config: TrainConfig, policy: Any, options: CountGateOptions) -> tuple[A
 def measure(options: CountGateOptions) -> dict[str, Any]:
     """All figures of a task."""
     env_name = tasks.canonical_name(options.env)
-    ships = (SHIPPED / env_name / MODEL_FILE).is_file()
+    ships = env_name in shipped_names()
     model = load_model(options.checkpoint or shipped_model(env_name), env_name) if options.checkpoint or ships else None
     config = preset(env_name) if model is None else model.config
     counted = preset(env_name).counts

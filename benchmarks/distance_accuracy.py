@@ -27,10 +27,11 @@ from benchmarks.subjects import Subject
 from napsp import envs as tasks
 from napsp.config import preset
 from napsp.errors import UserError, run_command
-from napsp.storage.checkpoint import Model, load_model, shipped_model
+from napsp.storage.checkpoint import Model, load_model
 from napsp.storage.files import write_json
 from napsp.storage.record import save_figure
 from napsp.storage.revision import git_revision
+from napsp.storage.shipped import shipped_model
 
 SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "triangle_rate", "triangle_rate_step", "distance_at_goal",
          "best_action_rate")  # fmt: skip

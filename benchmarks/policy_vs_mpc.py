@@ -113,8 +113,9 @@ def run_planner(config: PlanConfig[Any], checkpoint: Path, seeds: list[int]) -> 
     results = [session.run_episode(seed) for seed in seeds]
     session.close()
     milliseconds = float(np.median(np.concatenate([result.plan_ms for result in results])))
-    rates = [result.action_rate for result in results]
-    return _figures([r.success for r in results], [r.first_hit for r in results], milliseconds, rates)
+    rates, period = [result.action_rate for result in results], session.control_period
+    figures = _figures([r.success for r in results], [r.first_hit for r in results], milliseconds, rates)
+    return {**figures, "control_period_ms": "" if period is None else round(1e3 * period, 3)}
 
 
 def _figures(

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline, interp1d
 
 from napsp.settings import MANY, check_ranges
 
@@ -61,6 +60,9 @@ def _evaluate(n_knots: int, horizon: int, kind: Interpolation, times: np.ndarray
     knot_times, identity = _knot_times(n_knots, horizon), np.eye(n_knots)
     times = np.clip(times, 0.0, knot_times[-1])
     if kind == "cubic" and n_knots > 2:
+        from scipy.interpolate import CubicSpline  # takes half a second to import, and is not the default
+
         return CubicSpline(knot_times, identity)(times)
-    step = "previous" if kind == "zero" else "linear"
-    return interp1d(knot_times, identity, kind=step, axis=0)(times)
+    if kind == "zero":
+        return identity[np.searchsorted(knot_times, times, side="right") - 1]
+    return np.stack([np.interp(times, knot_times, weights) for weights in identity], axis=1)

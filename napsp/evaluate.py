@@ -17,8 +17,9 @@ from napsp.envs.goal_task import make_goal_task
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
 from napsp.statistics import describe, wilson_interval
-from napsp.storage.checkpoint import load_model, shipped_model
+from napsp.storage.checkpoint import load_model
 from napsp.storage.files import write_json
+from napsp.storage.shipped import shipped_model
 
 
 @dataclass(frozen=True)

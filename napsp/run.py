@@ -28,13 +28,14 @@ from napsp.learner import Learner
 from napsp.parts import build_learner
 from napsp.policy.greedy import GreedyPolicy
 from napsp.settings import as_flags
-from napsp.storage.checkpoint import MODEL_FILE, save_model, sizes_of
+from napsp.storage.checkpoint import save_model, sizes_of
 from napsp.storage.files import sound
 from napsp.storage.progress import Progress, Row, read_rows
 from napsp.storage.record import RECORD_FILE, write_record
 from napsp.storage.resume import FIX, begun, explorers_of, read_training, restore_training, warmup_episodes
 from napsp.storage.revision import git_revision
 from napsp.storage.segments import remove_segments
+from napsp.storage.shipped import MODEL_FILE
 from napsp.storage.state import STATE_FILE, TrainingState, warmup_of
 from napsp.storage.trackers import open_trackers, require
 

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import NormalDist
 
 import numpy as np
-from scipy.stats import binomtest, bootstrap, trim_mean
 
 
 def wilson_interval(successes: int, n: int) -> tuple[float, float]:
-    """95 % Wilson score interval of a success rate."""
-    interval = binomtest(successes, n).proportion_ci(method="wilson")
-    return float(interval.low), float(interval.high)
+    """95 % Wilson score interval of a success rate.
+
+    ``scipy.stats`` has it too, but takes as long to import as MuJoCo, Gymnasium and CasADi together, and every command
+    shows such an interval. The bootstraps below, which only benchmarks need, import it when they are called.
+    """
+    z = NormalDist().inv_cdf(0.975)
+    middle = (successes + z**2 / 2) / (n + z**2)
+    half = z / (n + z**2) * (successes * (n - successes) / n + z**2 / 4) ** 0.5
+    return 0.0 if successes == 0 else middle - half, 1.0 if successes == n else middle + half
 
 
 def interquartile_mean(values: Sequence[float]) -> tuple[float, tuple[float, float] | None]:
@@ -19,6 +25,8 @@ def interquartile_mean(values: Sequence[float]) -> tuple[float, tuple[float, flo
 
     With fewer than three values there is no interval: None.
     """
+    from scipy.stats import bootstrap, trim_mean
+
     data = np.asarray(values, float)
     mean = float(trim_mean(data, 0.25))
     if len(data) < 3:
@@ -37,6 +45,8 @@ def interquartile_mean(values: Sequence[float]) -> tuple[float, tuple[float, flo
 
 def paired_difference(first: Sequence[float], second: Sequence[float]) -> tuple[float, tuple[float, float]]:
     """Mean of ``first - second`` over pairs, and its 95 % percentile-bootstrap interval."""
+    from scipy.stats import bootstrap
+
     differences = np.asarray(first, float) - np.asarray(second, float)
     if (differences == differences[0]).all():
         return float(differences[0]), (float(differences[0]), float(differences[0]))

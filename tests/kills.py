@@ -20,10 +20,10 @@ import numpy as np
 import torch
 from tiny import content, tiny
 
-from napsp.storage.checkpoint import MODEL_FILE
 from napsp.storage.files import read_tensors
 from napsp.storage.progress import read_rows
 from napsp.storage.record import RECORD_FILE
+from napsp.storage.shipped import MODEL_FILE
 from napsp.storage.state import STATE_FILE
 from napsp.train import train
 

@@ -6,8 +6,8 @@ import sys
 import pytest
 from commands import in_this_process
 
-from napsp.storage.checkpoint import shipped_model
 from napsp.storage.files import read_tensors, write_tensors
+from napsp.storage.shipped import shipped_model
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,10 @@ from napsp.config import preset
 from napsp.distance.network import DistanceNetwork
 from napsp.errors import UserError
 from napsp.policy.actors import GaussianPolicy
-from napsp.storage.checkpoint import MODEL_FILE, SHIPPED, load_model, save_model
+from napsp.storage.checkpoint import load_model, save_model
 from napsp.storage.files import OLDER, read_tensors, write_atomically, write_json, write_tensors
 from napsp.storage.progress import read_rows
+from napsp.storage.shipped import MODEL_FILE, SHIPPED
 
 
 @pytest.fixture

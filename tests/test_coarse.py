@@ -19,7 +19,8 @@ from napsp.envs.dynamics import get_state
 from napsp.envs.fetch_arm import GRIPPER_BODIES, LOWER_ARM_BODIES
 from napsp.errors import UserError
 from napsp.policy.greedy import GreedyPolicy
-from napsp.storage.checkpoint import load_model, shipped_model
+from napsp.storage.checkpoint import load_model
+from napsp.storage.shipped import shipped_model
 from planners.app.cli import run
 from planners.app.config import PlanConfig
 from planners.mppi import MPPI, MPPIConfig

@@ -21,7 +21,7 @@ def test_help_names_every_word_and_search(capsys):
 def test_the_list_has_every_model_once_beside_its_task(capsys):
     assert command.run(["list"]) == 0
     said = capsys.readouterr().out
-    from napsp.storage.checkpoint import SHIPPED
+    from napsp.storage.shipped import SHIPPED
 
     models = [path.parent.name for path in SHIPPED.glob("*/model.safetensors")]
     words = said.replace(",", " ").split()

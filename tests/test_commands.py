@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from commands import in_this_process
 from gymnasium import spaces
+from scipy.stats import binomtest
 from tiny import tiny
 
 from napsp import envs
 from napsp.errors import UserError
 from napsp.statistics import wilson_interval
-from napsp.storage.checkpoint import MODEL_FILE, load_model, shipped_model
+from napsp.storage.checkpoint import load_model
+from napsp.storage.shipped import MODEL_FILE, shipped_model
 from napsp.train import train
 from planners.app.cli import run
 
@@ -64,7 +66,7 @@ def test_without_gl_there_is_one_line_instead_of_a_video(tmp_path):
 
 @pytest.mark.parametrize("cost", ["euclidean", "sparse"])
 def test_a_cost_without_distance_needs_no_checkpoint(cost, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("napsp.storage.checkpoint.SHIPPED", tmp_path / "nothing")
+    monkeypatch.setattr("napsp.storage.shipped.SHIPPED", tmp_path / "nothing")
     arguments = ["--env", "point_maze_long", "--cost", cost, "--episodes", "1", "--samples", "8", "--no-video"]
     assert run("mppi", [*arguments, "--out", str(tmp_path / "out")]) == 0
     assert "no checkpoint" in capsys.readouterr().out
@@ -223,5 +225,8 @@ def test_evaluate_runs_the_shipped_policy(tmp_path, capsys, monkeypatch):
     assert not status and not said and json.loads(out.read_text())["success_rate"] == 1.0
 
 
-def test_wilson_interval_against_the_textbook():
+def test_wilson_interval_against_the_textbook_and_scipy():
     np.testing.assert_allclose(wilson_interval(8, 10), (0.4901625, 0.9433178), atol=1e-6)
+    for successes, n in [(successes, total) for total in (1, 3, 50) for successes in range(total + 1)]:
+        wanted = binomtest(successes, n).proportion_ci(method="wilson")
+        np.testing.assert_allclose(wilson_interval(successes, n), (wanted.low, wanted.high), rtol=0, atol=1e-14)

@@ -7,7 +7,8 @@ import torch
 
 from napsp.distance.network import DistanceNetwork
 from napsp.policy.greedy_distance import GreedyDistance
-from napsp.storage.checkpoint import load_model, shipped_model
+from napsp.storage.checkpoint import load_model
+from napsp.storage.shipped import shipped_model
 from planners.app.config import PlanConfig
 from planners.app.options import RunOptions
 from planners.app.session import Session

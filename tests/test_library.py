@@ -37,11 +37,15 @@ def points(n, seed=0):
 
 
 def test_nothing_heavy_is_imported_before_it_is_asked_for():
-    code = "import sys, napsp, mpc, planners; print([m for m in ('torch', 'mujoco', 'casadi') if m in sys.modules])"
+    code = """import sys, napsp, mpc, planners
+print([m for m in ('torch', 'mujoco', 'casadi', 'scipy') if m in sys.modules])
+from planners.app.command import listing
+listing()
+print([m for m in ('torch', 'casadi', 'scipy') if m in sys.modules])"""
     unset = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}  # a wrong one has to be tried
     command = [sys.executable, "-W", "error", "-c", code]
     result = subprocess.run(command, capture_output=True, text=True, check=True, env=unset)
-    assert (result.stdout.strip(), result.stderr) == ("[]", "")
+    assert (result.stdout.split(), result.stderr) == (["[]", "[]"], "")
     declared = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]["version"]
     assert napsp.__version__ == declared and set(napsp.__all__) <= set(dir(napsp))
     with pytest.raises(AttributeError, match="no attribute 'lode'"):

@@ -18,10 +18,11 @@ from benchmarks import cells
 from napsp.envs.goal_task import make_goal_task
 from napsp.errors import UserError
 from napsp.run import new_learner
-from napsp.storage.checkpoint import MODEL_FILE, load_model
+from napsp.storage.checkpoint import load_model
 from napsp.storage.progress import read_rows
 from napsp.storage.resume import read_training, restore_training, stored_episodes, stored_tables, warmup_episodes
 from napsp.storage.segments import FOLDER
+from napsp.storage.shipped import MODEL_FILE
 from napsp.storage.state import STATE_FILE
 from napsp.train import train
 from planners.app.folder import OWNER, SUMMARY, claim

@@ -10,9 +10,10 @@ from tiny import tiny
 from mpc.cost import LearnedSteps
 from napsp.distance.counts import uncertainty
 from napsp.errors import UserError
-from napsp.storage.checkpoint import MODEL_FILE, load_model, shipped_model
+from napsp.storage.checkpoint import load_model
 from napsp.storage.files import read_tensors, write_tensors
 from napsp.storage.resume import stored_episodes, stored_tables
+from napsp.storage.shipped import MODEL_FILE, shipped_model
 from napsp.train import train
 from planners.app.cli import run
 from planners.app.config import PlanConfig

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.interpolate import interp1d
 from searches import SAMPLING as ALL
 from searches import search as make
 
@@ -204,6 +205,13 @@ def test_knots_are_hit_exactly_and_constants_are_kept(kind):
     np.testing.assert_allclose(matrix[[0, 3, 6, 9]], np.eye(4), atol=1e-12)
     np.testing.assert_allclose(matrix.sum(1), 1.0)
     np.testing.assert_allclose(interpolation_matrix(10, 10, kind), np.eye(10), atol=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "theirs"), [("zero", "previous"), ("linear", "linear")])
+def test_between_knots_plans_are_read_as_scipy_reads_them(kind, theirs):
+    read = interp1d(np.linspace(0.0, 9.0, 4), np.eye(4), kind=theirs, axis=0)
+    times = np.minimum(np.arange(10) + 0.3, 9.0)  # past the end the last knot is held
+    np.testing.assert_allclose(interpolation_matrix(4, 10, kind, shift=0.3), read(times), atol=1e-15)
 
 
 @pytest.mark.parametrize("kind", ["zero", "linear", "cubic"])

@@ -12,7 +12,8 @@ from mpc.smoothing.distance import SmoothDistance
 from napsp.config import preset
 from napsp.distance.network import DistanceConfig, DistanceNetwork
 from napsp.policy.actors import GaussianPolicy
-from napsp.storage.checkpoint import Model, load_model, shipped_model
+from napsp.storage.checkpoint import Model, load_model
+from napsp.storage.shipped import shipped_model
 
 SHIPPED = ("point_maze", "fetch_reach", "fetch_wall", "claw", "fetch_pick_place", "fetch_pick_place_wall")
 

@@ -8,7 +8,7 @@ import pytest
 
 from napsp.envs.cards import CARDS
 from napsp.errors import UserError
-from napsp.storage.checkpoint import SHIPPED
+from napsp.storage.shipped import SHIPPED
 from planners.app.options import parse
 from planners.app.session import Session
 from planners.app.studio import serve

@@ -12,8 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from napsp.data.episodes import Episodes, SparseReward
 from napsp.settings import MANY, check_ranges
@@ -163,6 +161,9 @@ class Lattice:
 
     def search(self, episodes: Episodes, config: GraphConfig, sparse_reward: SparseReward, drawn: np.ndarray) -> None:
         """Dijkstra along observed crossings turned round, from all cells or those of ``drawn`` places ``(m, G)``."""
+        from scipy.sparse import csr_matrix  # only training needs them, and every command imports this file
+        from scipy.sparse.csgraph import dijkstra
+
         n, cells = self.n_cells, np.zeros(episodes.achieved_goals.shape[:2], np.int64)
         cells[episodes.seen()] = self._cell_of.ravel()
         start, end = episodes.steps(cells[:, :-1]), episodes.steps(cells[:, 1:])

@@ -15,11 +15,15 @@ two ends at the solid corner in the middle of the house.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import mujoco
 import numpy as np
 
-from napsp.envs.geodesic import ShortestPaths
 from napsp.envs.open_loop import OpenLoopDynamics, OpenLoopEnv
+
+if TYPE_CHECKING:
+    from napsp.envs.geodesic import ShortestPaths
 
 WALL_HALF_THICKNESS = 0.03
 POINT_RADIUS = 0.05
@@ -106,6 +110,8 @@ class PointMazeEnv(OpenLoopEnv):
     def shortest_steps(self, positions: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Steps ``(...)`` of the shortest way around the walls from positions ``(..., 2)``, at full speed."""
         if self._paths is None:
+            from napsp.envs.geodesic import ShortestPaths  # SciPy's images and graphs: half a second to import
+
             margin = WALL_HALF_THICKNESS + POINT_RADIUS
             boxes = self.scale * np.array(INNER_WALLS + OUTER_WALLS) + [0.0, 0.0, margin, margin]
             self._paths = ShortestPaths(self.scale, boxes, self.step_length)

@@ -20,9 +20,7 @@ from napsp.policy.actors import DeterministicPolicy, GaussianPolicy, Policy
 from napsp.storage.files import FORMAT, OLDER, read_tensors, sound, write_tensors
 from napsp.storage.older import todays
 from napsp.storage.revision import git_revision
-
-MODEL_FILE = "model.safetensors"
-SHIPPED = Path(__file__).parents[1] / "checkpoints"
+from napsp.storage.shipped import MODEL_FILE, SHIPPED, shipped_names
 
 
 @dataclass(frozen=True)
@@ -108,11 +106,10 @@ def load_model(path: str | Path, env: str | None = None) -> Model:
         UserError: damaged or foreign file, or a model of another environment.
     """
     path = Path(path)
-    if not path.exists() and (SHIPPED / path.name / MODEL_FILE).is_file() and path == Path(path.name):
-        path = SHIPPED / path.name
-    elif not path.exists() and path == Path(path.name):
-        meant = close(path.name, [folder.name for folder in SHIPPED.iterdir()])
-        if meant:
+    if not path.exists() and path == Path(path.name):
+        if path.name in shipped_names():
+            path = SHIPPED / path.name
+        elif meant := close(path.name, shipped_names()):
             raise UserError(f"no checkpoint at {path}, and none of that name ships; did you mean {meant}?")
     if path.is_dir():
         path = path / MODEL_FILE
@@ -206,18 +203,3 @@ def _load(network: torch.nn.Module, prefix: str, tensors: dict[str, Tensor], pat
     if not all(torch.isfinite(value).all() for value in weights.values()):
         raise UserError(f"{path} holds weights that are not finite; train it again")
     network.eval().requires_grad_(False)
-
-
-def shipped_model(env: str) -> Path:
-    """Path of the checkpoint that comes with the package.
-
-    Raises:
-        UserError: none ships for this environment.
-    """
-    path = SHIPPED / canonical_name(env) / MODEL_FILE
-    if not path.is_file():
-        raise UserError(
-            f"no checkpoint ships for {env}; train one with: python -m napsp.train --env {env}, "
-            "then pass it with --checkpoint"
-        )
-    return path

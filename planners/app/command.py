@@ -89,14 +89,11 @@ def _report(arguments: list[str]) -> int | None:
 def listing() -> str:
     """Tasks with what each ships, and the searches."""
     from napsp.envs.cards import CARDS
-    from napsp.storage.checkpoint import MODEL_FILE, SHIPPED
+    from napsp.storage.shipped import shipped_names
 
-    models = sorted(path.parent.name for path in SHIPPED.glob(f"*/{MODEL_FILE}"))
     lines = [f"{'task':30s}{'T':>5s}  models that ship (--checkpoint NAME)"]
     for task, card in CARDS.items():
-        others = [name for name in CARDS if name != task and name.startswith(task)]
-        own = [name for name in models if name.startswith(task) and not name.startswith(tuple(others))]
-        lines.append(f"{task:30s}{card.episode_length:5d}  {', '.join(own) or '-'}")
+        lines.append(f"{task:30s}{card.episode_length:5d}  {', '.join(shipped_names(task)) or '-'}")
     return "\n".join([*lines, "", f"searches: {', '.join(_searches())}"])
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from mpc.cost import EuclideanSteps, GivenSteps, LearnedSteps, NoSteps, StepsToGo
 from napsp.errors import UserError, describe_failure, load_object
-from napsp.storage.checkpoint import Model, load_model, shipped_model
+from napsp.storage.checkpoint import Model, load_model
+from napsp.storage.shipped import shipped_model
 from planners.app.config import PlanConfig
 
 

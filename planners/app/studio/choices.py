@@ -8,10 +8,9 @@ from typing import Any
 
 from mpc.knots import SplineConfig
 from napsp.envs import canonical_name
-from napsp.envs.cards import CARDS
 from napsp.errors import UserError
 from napsp.settings import changed
-from napsp.storage.checkpoint import MODEL_FILE, SHIPPED
+from napsp.storage.shipped import MODEL_FILE, named_after, shipped_names
 from planners.app.config import PlanConfig
 from planners.app.options import RunOptions
 from planners.app.searches import SEARCHES
@@ -86,11 +85,5 @@ class Choices:
 
 def checkpoints(task: str) -> list[str]:
     """Models of a task, to be named as checkpoints: those that ship, then folders of ``runs/`` called after it."""
-    others = tuple(name for name in CARDS if name != task and name.startswith(task))
-
-    def fits(name: str) -> bool:
-        return name.startswith(task.replace("/", "-").replace(":", "-")) and not name.startswith(others)
-
-    shipped = sorted(path.parent.name for path in SHIPPED.glob(f"*/{MODEL_FILE}"))
     trained = sorted(path.parent for path in Path("runs").glob(f"*/{MODEL_FILE}"))
-    return [name for name in shipped if fits(name)] + [str(path) for path in trained if fits(path.name)]
+    return [*shipped_names(task), *(str(path) for path in trained if named_after(path.name, task))]
