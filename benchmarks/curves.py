@@ -13,6 +13,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -87,16 +88,25 @@ class Line:
         return METHODS.index(self.method), self.recipe != PAPER, self.name
 
 
+_USUAL_OF_ALL = flat(to_dict(DEFAULT))
+
+
+@lru_cache
+def _usual(env: str, method: str, recipe: str) -> dict[str, Any]:
+    """What a recipe asks, by dotted names; each of a thousand rows is compared with it."""
+    return flat(to_dict(preset(env, method, recipe)))
+
+
 def line_of(identity: Mapping[str, Any]) -> Line | None:
     """The line of a run that asks this; None if it has an option otherwise that makes no line of its own."""
-    asked = {**flat(to_dict(DEFAULT)), **identity}
+    asked = {**_USUAL_OF_ALL, **identity}
     env, method = asked["env"], asked["method"]
     idle = {"seed", "recipe", "n_episodes"}
     if method != "ours" or "counts.reached_bits" in identity:
         idle |= set(OF_THE_GATE)  # nobody asks for N(s, a, g), or it had one joint key
     unasked = idle_options(method)
     for recipe in recipes(env):
-        usual = flat(to_dict(preset(env, method, recipe)))
+        usual = _usual(env, method, recipe)
         different = {k for k, v in asked.items() if usual.get(k) != v and not k.startswith(unasked)} - idle
         if different <= NAMED.keys():
             return Line(method, recipe, tuple((option, asked[option]) for option in NAMED if option in different))
