@@ -37,12 +37,13 @@ from napsp.config import preset
 from napsp.data.outcomes import evaluate
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
+from napsp.settings import FIRST_SEED
 from napsp.statistics import describe, paired_proportions, wilson_interval
 from napsp.storage.checkpoint import load_model
 from napsp.storage.record import save_figure
 from napsp.storage.revision import git_revision
 from planners.app.config import PlanConfig
-from planners.app.options import FIRST_SEED, RunOptions
+from planners.app.options import RunOptions
 from planners.app.session import Session
 
 FILE = RESULTS / "policy_vs_mpc.csv"

@@ -34,6 +34,8 @@ class Verified:
     forks: bool
 
     def __str__(self) -> str:
+        if self.difference is not None:
+            return f"only {self.n_steps} steps came as planned, the next one did not: {self.difference} ({self.path})"
         unproven = "; without contact, so contacts are unproven" if self.touched is False else ""
         return f"{self.n_steps} steps of {len(SEEDS)} episodes came as planned, to the bit ({self.path}){unproven}"
 

@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Collection
 from pathlib import Path
 from types import ModuleType, TracebackType
@@ -19,6 +20,22 @@ class UserError(Exception):
 
 def run_command(main: Callable[[], int | None]) -> None:
     """Run a command's ``main``; turn a :class:`UserError` into one line and exit status 2."""
+    before, warnings.formatwarning = warnings.formatwarning, _one_line
+    try:
+        _run(main)
+    finally:
+        warnings.formatwarning = before
+
+
+def _one_line(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """A warning as a command shows it: of its own no line of source, which is nothing that its user could mend."""
+    place = "" if is_ours(filename) else f"{filename}:{lineno}: {category.__name__}: "
+    return f"warning: {place}{message}\n"
+
+
+def _run(main: Callable[[], int | None]) -> None:
     try:
         status = main()
     except UserError as error:

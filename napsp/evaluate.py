@@ -16,6 +16,7 @@ from napsp.data.outcomes import evaluate
 from napsp.envs.goal_task import make_goal_task
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
+from napsp.settings import FIRST_SEED
 from napsp.statistics import describe, wilson_interval
 from napsp.storage.checkpoint import load_model
 from napsp.storage.files import write_json
@@ -27,15 +28,14 @@ class EvaluateOptions:
     """Run the deterministic policy of a checkpoint."""
 
     env: str = "fetch_wall"
-    """Task: point_maze, fetch_reach, fetch_wall, fetch_pick_place, fetch_pick_place_wall, claw, or what --checkpoint
-    was trained on."""
+    """Task: one that napsp list shows, or what --checkpoint was trained on."""
     checkpoint: Path | None = None
     """A file or folder written by napsp.train, or the name of one that ships, such as
     fetch_pick_place_first_arrival; default: the one that ships for the task."""
     episodes: int = 50
     """Episodes, on the seeds seed, seed + 1, ..."""
-    seed: int = 0
-    """First seed."""
+    seed: int = FIRST_SEED
+    """First seed; by default the episodes that planning commands begin with."""
     out: Path | None = None
     """JSON file for the figures."""
 

@@ -23,6 +23,7 @@ from napsp.distance.network import DistanceNetwork
 from napsp.envs.goal_task import make_goal_task, saves_its_state
 from napsp.execution import Execution
 from napsp.policy.greedy import GreedyPolicy
+from napsp.settings import FIRST_SEED
 from napsp.storage.checkpoint import Model, load_model
 from napsp.storage.record import RECORD_FILE, command_line
 from napsp.train import train as run_training
@@ -181,7 +182,7 @@ def make(task: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
     return (tasks.make if saves_its_state(name, **kwargs) else make_goal_task)(name, reached, **kwargs)
 
 
-def evaluate(distance: Distance, episodes: int = 50, seed: int = 0) -> Outcomes:
+def evaluate(distance: Distance, episodes: int = 50, seed: int = FIRST_SEED) -> Outcomes:
     """What the policy of a model comes to on its task, on the reset seeds ``seed``, ``seed + 1``, ...
 
     Raises:

@@ -14,10 +14,13 @@ import json
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from napsp.errors import UserError, choose
+from napsp.errors import UserError, choose, close
 
 C = TypeVar("C")
 MANY, TINY = 10**9, 1e-12
+FIRST_SEED = 90_000
+"""Reset seed of the first episode of commands, and of those that published results are measured on; these seeds were
+never used for tuning."""
 
 
 def check_ranges(config: Any, **ranges: tuple[float, float]) -> None:
@@ -65,8 +68,11 @@ def changed(config: C, changes: Mapping[str, Any]) -> C:
     own: dict[str, Any] = {}
     for name, value in changes.items():
         head, _, rest = name.partition(".")
-        if head not in {field.name for field in dataclasses.fields(config)}:  # type: ignore[arg-type]
-            raise UserError(f"there is no option {name!r} in {type(config).__name__} of this version of napsp")
+        known = {field.name for field in dataclasses.fields(config)}  # type: ignore[arg-type]
+        if head not in known:
+            found = close(head, known)
+            hint = f"; did you mean {found}?" if found else ""
+            raise UserError(f"there is no option {name!r} in {type(config).__name__} of this version of napsp{hint}")
         own.setdefault(head, {})
         own[head] = {**own[head], rest: value} if rest else value
     for head, value in own.items():

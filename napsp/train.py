@@ -27,6 +27,7 @@ from napsp.storage.checkpoint import load_model
 from napsp.storage.lock import only_writer
 from napsp.storage.progress import Row
 from napsp.storage.record import RECORD_FILE
+from napsp.storage.state import STATE_FILE
 from napsp.storage.trackers import TRACKERS
 
 
@@ -56,7 +57,12 @@ def _train(
     execution: Execution,
     on_evaluation: Callable[[Row], Any] | None,
 ) -> list[Row]:
-    run = Run.open(config, folder, restart, trackers, execution)
+    try:
+        run = Run.open(config, folder, restart, trackers, execution)
+    except KeyboardInterrupt:
+        goes_on = "continues from the last save" if (folder / STATE_FILE).is_file() else "begins anew"
+        print(f"\nnothing was saved in {folder} this time; the same command {goes_on}", flush=True)
+        raise
     run.on_evaluation = on_evaluation
     learner, config = run.learner, run.config
     try:

@@ -1,12 +1,14 @@
 """Sentences for mistakes of the user's: whose line they name."""
 
 import sys
+import warnings
 
 import numpy
+import pytest
 
 import mpc.controller
 import napsp.envs.check
-from napsp.errors import describe_failure, is_ours
+from napsp.errors import describe_failure, is_ours, run_command
 
 
 def test_a_file_is_ours_by_where_it_lies(tmp_path):
@@ -29,3 +31,17 @@ def test_the_line_of_the_user_is_named_in_a_folder_called_like_the_package(tmp_p
     except RuntimeError as error:
         assert describe_failure(error) == "RuntimeError: no (mine_in_napsp.py, line 2)"
     del sys.modules["mine_in_napsp"]
+
+
+def test_a_commands_own_warning_is_a_line_without_source_and_others_name_their_place(capsys):
+    shown, said = warnings.formatwarning, warnings.showwarning
+
+    def command():
+        own = mpc.controller.__file__
+        for text, file in (("plans are late", own), ("old", "theirs.py")):
+            print(warnings.formatwarning(text, RuntimeWarning, file, 7, None), end="", file=sys.stderr)
+
+    with pytest.raises(SystemExit) as ended:
+        run_command(command)
+    assert ended.value.code == 0 and (warnings.formatwarning, warnings.showwarning) == (shown, said)
+    assert capsys.readouterr().err == "warning: plans are late\nwarning: theirs.py:7: RuntimeWarning: old\n"

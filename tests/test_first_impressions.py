@@ -35,6 +35,7 @@ def asked_in(text):
         (training.parse, ["--threads", "many"], "--threads: invalid literal"),
         (training.parse, ["--method", "plas"], "unknown method 'plas'; did you mean plus"),
         (training.parse, ["--env", "fetch_wal"], "unknown environment 'fetch_wal'; did you mean fetch_wall"),
+        (training.parse, ["--env", "FetchPus-v4"], "unknown environment 'FetchPus-v4'; did you mean FetchPush-v4"),
         (training.parse, ["fetch_wall"], "'fetch_wall' belongs to no option"),
         (lambda words: options.parse("mppi", words), ["--sampels", "5"], "did you mean --samples"),
         (lambda words: options.parse("mppi", words), ["--temprature", "5"], "did you mean --search.temperature"),

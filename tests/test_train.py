@@ -136,6 +136,21 @@ def test_interrupt_saves_and_the_same_command_goes_on(tmp_path, capsys):
     assert read_tensors(tmp_path / STATE_FILE, "training state")[1]["iteration"] > 0
 
 
+@pytest.mark.parametrize(("before", "words"), [(0, "begins anew"), (8, "continues from the last save")])
+def test_ctrl_c_before_the_first_iteration_says_that_nothing_was_saved(before, words, tmp_path, monkeypatch, capsys):
+    if before:
+        train(tiny(n_episodes=before), tmp_path / "run")
+
+    def interrupted(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60)
+
+    monkeypatch.setattr("napsp.run.warm_up" if not before else "napsp.run.restore_training", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny(), tmp_path / "run")
+    assert f"nothing was saved in {tmp_path / 'run'} this time; the same command {words}" in capsys.readouterr().out
+
+
 def test_training_works_in_a_thread_and_leaves_ctrl_c_alone(tmp_path):
     rows, handler = [], signal.getsignal(signal.SIGINT)
     thread = threading.Thread(target=lambda: rows.extend(train(tiny(n_episodes=8), tmp_path)))

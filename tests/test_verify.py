@@ -74,6 +74,7 @@ def test_plans_that_do_not_come_true_are_warned_of(simulation, open_loop):
     ):
         found = trial(kind(simulation, open_loop))
     assert found.difference.startswith("observation, step")
+    assert str(found).startswith(f"only {found.n_steps} steps came as planned, the next one did not: observation, step")
 
 
 def test_a_simulation_that_changes_the_model_is_warned_of():

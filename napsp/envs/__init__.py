@@ -49,7 +49,7 @@ def canonical_name(name: str) -> str:
         return name
     known = [*CARDS, *(alias for card in CARDS.values() for alias in card.aliases)]
     others = ", a registered Gymnasium id, package:Id where a package registers it, or your own module:Class"
-    meant = close(name, known)
+    meant = close(name, [*known, *gymnasium.registry])
     hint = f"did you mean {meant}? napsp list shows what ships" if meant else choose(name, known, others)
     raise UserError(f"unknown environment {name!r}; {hint}")
 

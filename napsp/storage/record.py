@@ -61,19 +61,16 @@ def draw_curve(path: Path, config: TrainConfig, rows: list[Row]) -> None:
         "distance [steps]": ("mean_distance", "distance_at_goal"),
         "rates of eq. 4b": ("merging_rate", "relaxation_rate"),
     }
-    figure = Figure(figsize=(10, 2.8))
-    margins = {
-        "left": 0.05,
-        "right": 0.99,
-        "bottom": 0.18,
-        "top": 0.81,
-        "wspace": 0.2,
-    }  # layouts that fit draw all twice
-    for axis, (title, names) in zip(figure.subplots(1, len(panels), gridspec_kw=margins), panels.items(), strict=True):
+    panels = {title: names for title, names in panels.items() if any(name in row for row in rows for name in names)}
+    width = 10 * len(panels) / 3  # inches; margins are given, for layouts that find them draw all twice
+    margins = {"left": 0.5 / width, "right": 1 - 0.1 / width, "bottom": 0.18, "top": 0.81, "wspace": 0.2}
+    figure = Figure(figsize=(width, 2.8))
+    axes = figure.subplots(1, len(panels), squeeze=False, gridspec_kw=margins)[0]
+    for axis, (title, names) in zip(axes, panels.items(), strict=True):
         for name in names:
             points = [(row["episodes"], row[name]) for row in rows if name in row]
             if points:
-                axis.plot(*zip(*points, strict=True), label=name.replace("_", " "))
+                axis.plot(*zip(*points, strict=True), ".-" if len(points) < 3 else "-", label=name.replace("_", " "))
         axis.set(xlabel="training episodes", title=title)
         axis.set_ylim(bottom=0)
         if axis.lines:

@@ -13,7 +13,7 @@ import tyro
 from mpc.smoothing.config import SmoothingConfig
 from napsp.command_line import Flat, ask
 from napsp.errors import UserError
-from napsp.settings import MANY, check_ranges, refuse_old_flags
+from napsp.settings import FIRST_SEED, MANY, check_ranges, refuse_old_flags
 from planners.app.config import PlanConfig, S
 
 RENAMED = {
@@ -29,9 +29,6 @@ RENAMED = {
 }
 """What options were called before they had groups, beside those of the search (``--temperature``) and of smoothing
 (``--smooth-rate``), whose names tell."""
-
-FIRST_SEED = 90_000
-"""Of the episodes that benchmarks.policy_vs_mpc measures on; its seeds were never used for tuning."""
 
 
 @dataclass(frozen=True)

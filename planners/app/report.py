@@ -36,10 +36,11 @@ class Report:
     def announce(self, line: str | None = None) -> None:
         """Say what is about to run, then a further line."""
         config, model = self._session.config, self._session.model
+        again = f", {config.search.refinements} refinements" if config.search.refinements > 1 else ""
         source = f"d trained for {model.header['episodes']} episodes" if model else "no checkpoint"
         self._console.print(
             f"{config.env}: {config.planner}, cost {config.cost} ({config.where}), "
-            f"{config.search.samples} samples x {self._session.horizon} steps, {source}",
+            f"{config.search.samples} samples x {self._session.horizon} steps{again}, {source}",
             highlight=False,
         )
         if config.model.kind == "coarse":
