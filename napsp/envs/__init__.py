@@ -41,7 +41,8 @@ def canonical_name(name: str) -> str:
     if ":" in name:
         gym_id = _registered(name)
         return NAMES.get(gym_id, name) if gym_id else name
-    if any(word in name for word in STOCK_WORDS):
+    stock = any(word in name for word in STOCK_WORDS)
+    if stock:
         import gymnasium_robotics
 
         gymnasium.register_envs(gymnasium_robotics)
@@ -49,7 +50,7 @@ def canonical_name(name: str) -> str:
         return name
     known = [*CARDS, *(alias for card in CARDS.values() for alias in card.aliases)]
     others = ", a registered Gymnasium id, package:Id where a package registers it, or your own module:Class"
-    meant = close(name, [*known, *gymnasium.registry])
+    meant = close(name, [*known, *(gymnasium.registry if stock else ())])
     hint = f"did you mean {meant}? napsp list shows what ships" if meant else choose(name, known, others)
     raise UserError(f"unknown environment {name!r}; {hint}")
 
