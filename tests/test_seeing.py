@@ -18,6 +18,7 @@ from napsp import envs
 from napsp.envs.open_loop import OpenLoopEnv
 from planners.app.cli import run
 from planners.app.config import PlanConfig
+from planners.app.frames import caption, captioned
 from planners.app.maze_map import steps_field
 from planners.app.options import RunOptions, parse
 from planners.app.session import Session
@@ -179,3 +180,24 @@ def test_lines_of_plans_grow_with_the_distance_they_are_seen_from(name, tmp_path
     env.close()
     pixels = np.array(widths) / (2 * distance * np.tan(np.deg2rad(world.model.vis.global_.fovy / 2))) * 480
     assert len(widths) == 4 and 1.0 < pixels.min() < pixels.max() < 5.0
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("fetch_wall", "gap 25 cm"), ("claw", "gap 90 deg"), ("point_maze", "gap 25 cm")]
+)
+def test_frames_say_how_far_it_is_in_units_of_the_task_and_what_the_cheapest_plan_costs(name, words, worlds):
+    far = {"fetch_wall": [0.0, 0.0, 0.25], "claw": [0.0, 1.0], "point_maze": [0.0, 0.25]}[name]
+    desired = np.array([1.0, 0.0] if name == "claw" else np.zeros(len(far)))
+    seen = {"achieved_goal": np.array(far), "desired_goal": desired}
+    plan = Plan(np.zeros(2), np.zeros((7, 2)), None, np.array([np.inf, 3.456, np.nan, 9.0]), 1.0, 4.0)
+    assert caption(worlds[name], seen, plan) == f"{words}   cheapest plan 3.46"
+    lost = Plan(np.zeros(2), np.zeros((7, 2)), None, np.array([np.inf, np.nan]), 1.0, 4.0)
+    assert caption(worlds[name], seen, lost) == words
+
+
+def test_a_caption_is_written_on_top_of_the_picture_and_nowhere_else():
+    before = np.full((480, 640, 3), 200, np.uint8)
+    after = captioned(before, "gap 3.4 cm")
+    changed = (after != before).any(-1)
+    assert after.shape == before.shape and after.dtype == before.dtype and (before == 200).all()
+    assert {0, 255} <= set(np.unique(after[changed])) and changed[:30, :120].sum() == changed.sum() > 100

@@ -7,11 +7,31 @@ from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from mpc.controller import Plan
+from napsp.envs.gap import goal_gap
 
 FRAMES_PER_SECOND = 12
 MODE = "rgb_array"
+
+
+def caption(env: Any, observation: dict[str, np.ndarray], plan: Plan) -> str:
+    """What a frame shows, in numbers: the gap to the goal and what the cheapest plan costs."""
+    gap = np.linalg.norm([observation["achieved_goal"] - observation["desired_goal"]], axis=1)
+    shown, unit = goal_gap(env.unwrapped, gap)
+    if unit == "m":
+        shown, unit = 100.0 * shown, "cm"  # as tables have it
+    finite = plan.costs[np.isfinite(plan.costs)]
+    return f"gap {shown[0]:.3g} {unit}".rstrip() + (f"   cheapest plan {finite.min():.3g}" if len(finite) else "")
+
+
+def captioned(image: np.ndarray, text: str) -> np.ndarray:
+    """Pixels ``(height, width, 3)`` with a line of text in the upper left corner, legible on any ground."""
+    page = Image.fromarray(image)
+    font = ImageFont.load_default(14)
+    ImageDraw.Draw(page).text((8, 6), text, (255, 255, 255), font, stroke_width=1, stroke_fill=(0, 0, 0))
+    return np.asarray(page)
 
 
 class Film:
@@ -59,10 +79,9 @@ class OwnFrames:
 
     def frame(self, observation: dict[str, np.ndarray], plan: Plan) -> None:
         """Add a frame of the world as it is before the plan's action is executed."""
-        del observation, plan
         image = self._env.render() if draws_itself(self._env) else None
         if isinstance(image, np.ndarray) and image.ndim == 3 and image.shape[2] == 3:
-            self._film.add(image.astype(np.uint8))
+            self._film.add(captioned(image.astype(np.uint8), caption(self._env, observation, plan)))
 
     def close(self) -> str:
         """Finish the file; return the line to show the user."""

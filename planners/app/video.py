@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mpc.controller import Plan
-from planners.app.frames import Film, OwnFrames
+from planners.app.frames import Film, OwnFrames, caption, captioned
 
 WIDTH, HEIGHT = 640, 480
 SHOWN_PLANS = 24
@@ -75,7 +75,7 @@ class Video:
         image = self.image(observation, plan)
         if image is None:
             return
-        self._film.add(image)
+        self._film.add(captioned(image, caption(self._world, observation, plan)))
 
     def image(self, observation: dict[str, np.ndarray], plan: Plan) -> np.ndarray | None:
         """Pixels ``(HEIGHT, WIDTH, 3)`` of the world as it is now, with goal and plans; None without OpenGL."""
