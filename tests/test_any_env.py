@@ -236,21 +236,18 @@ def test_an_id_of_a_package_is_spelled_as_gymnasium_spells_it(tmp_path, monkeypa
 def test_a_class_of_the_users_own_trains_and_plans(tmp_path, monkeypatch, capsys):
     (tmp_path / "my_maze.py").write_text(USER_MODULE)
     task = ["--env", "my_maze:BigMaze"]
-
-    def run(*command):
-        done = subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
     options = "--n-episodes 12 --n-warmup-episodes 4 --evaluate.n-episodes 2 --evaluate.every 6 --hidden 16 16"
-    small = options.split()
-    run("napsp.train", *task, *small)
+    command = [sys.executable, "-m", "napsp.train", *task, *options.split()]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
     checkpoint = tmp_path / "runs" / "my_maze-BigMaze-ours-s0"
     assert (checkpoint / "model.safetensors").is_file()
     plan = ["--episodes", "1", "--samples", "8", "--no-video", "--horizon", "4"]
-    assert "distance" in run("planners.mppi", *task, *plan, "--checkpoint", str(checkpoint))
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
+    assert (
+        planned("mppi", [*task, *plan, "--checkpoint", str(checkpoint)]) == 0 and "distance" in capsys.readouterr().out
+    )
     assert planned("icem", [*task, *plan, "--cost", "euclidean"]) == 0 and "euclidean" in capsys.readouterr().out
     assert list(tmp_path.glob("plans/my_maze-BigMaze-icem-euclidean-s90000-*/summary.json"))
     assert planned("cem", [*task, *plan, "--samples", "12", "--cost", "my_maze:far"]) == 0

@@ -32,6 +32,7 @@ def workplace(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for module in (sweep, curves):
         monkeypatch.setattr(module, "preset", tiny_preset)
+    monkeypatch.setattr(curves, "_usual", curves._usual.__wrapped__)  # it remembers what presets are
     return tmp_path
 
 

@@ -167,7 +167,13 @@ def test_stable_baselines3_trains_with_her(name):
 
     env, steps = envs.make(name), envs.episode_length(name) + 20
     model = SAC(
-        "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=steps, batch_size=32, seed=0
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=HerReplayBuffer,
+        buffer_size=1000,
+        learning_starts=steps,
+        batch_size=32,
+        seed=0,
     )
     model.learn(steps + 60)
     assert model.num_timesteps == steps + 60
