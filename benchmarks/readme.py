@@ -15,6 +15,7 @@ from benchmarks import tables_training as training
 from benchmarks.command import read_options
 from benchmarks.tables_columns import columns_table
 from benchmarks.tables_plus import ablation_table
+from benchmarks.tables_realtime import realtime_table
 from napsp.errors import run_command
 from napsp.storage.files import write_atomically
 
@@ -24,8 +25,8 @@ START, END = "<!-- results:start -->", "<!-- results:end -->"
 TABLES: dict[Path, tuple[Table, ...]] = {
     README: (planning.glance_table,),
     PAGE: (
-        training.learning_table, planning.cost_table, planning.versus_table, training.accuracy_table, ablation_table,
-        planning.smoothing_table, training.training_table, training.coverage_table, training.gate_table,
+        training.learning_table, planning.cost_table, planning.versus_table, realtime_table, training.accuracy_table,
+        ablation_table, planning.smoothing_table, training.training_table, training.coverage_table, training.gate_table,
         speed.speed_table, speed.throughput_table, speed.learner_table,
     ),
     GLOSSARY: (columns_table,),

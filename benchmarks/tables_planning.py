@@ -123,7 +123,8 @@ def cost_table() -> list[str]:
     return lines
 
 
-def _cores(row: dict[str, str]) -> str:
+def of_cores(row: dict[str, str]) -> str:
+    """How many cores a time was taken on, where it was not two."""
     cores = row.get("cores") or "2"
     return "" if cores == "2" else f" ({cores} core{'s' if cores != '1' else ''})"
 
@@ -153,7 +154,7 @@ def versus_table() -> list[str]:
             f"| {row['env']} | {row['line'].name} | {row['training_episodes']} | {row['planner']} "
             f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
             f"| {_success(row)} | {steps} "
-            f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f}{_cores(row)} |"
+            f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f}{of_cores(row)} |"
         )
     for path in sorted(set(RESULTS.glob("policy_vs_mpc_*.png")) - {HALF_TRAINED}):
         lines += ["", f"![Success of policy and planners on {path.stem.removeprefix('policy_vs_mpc_')}]({path})"]

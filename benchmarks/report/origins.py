@@ -12,6 +12,7 @@ from benchmarks import tables_training as training
 from benchmarks.cells import RESULTS, read_results
 from benchmarks.readme import Table
 from benchmarks.tables_plus import ablation_rows, ablation_table
+from benchmarks.tables_realtime import realtime_rows, realtime_table
 
 Rows = Callable[[], Iterable[Mapping[str, Any]]]
 
@@ -84,6 +85,10 @@ ORIGINS: dict[Table, Origin] = {
     planning.versus_table: Origin(
         "python -m benchmarks.policy_vs_mpc --env NAME", "results/policy_vs_mpc.csv", planning.versus_rows,
         "training_seed", "seed",
+    ),
+    realtime_table: Origin(
+        "python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus --budgets 8 16",
+        "results/policy_vs_mpc.csv", realtime_rows, "training_seed", "seed",
     ),
     training.accuracy_table: Origin(
         "python -m benchmarks.distance_accuracy --env NAME", "results/distance_accuracy.csv",
