@@ -97,7 +97,10 @@ def plan_config(env: str, planner: str, budget: int, proposals: bool) -> PlanCon
     changes = {"env": env, "search.samples": samples, "proposals": proposals, "smooth": bool(smooth)}
     if hasattr(search, "elites"):
         changes["search.elites"] = min(search.elites, max(2, samples // 4))
-    return PlanConfig.of(name, changes)
+    try:
+        return PlanConfig.of(name, changes)
+    except (UserError, ValueError) as error:
+        raise UserError(f"--budgets {budget} is too small for {planner}: {error}") from None
 
 
 def run_policy(env_name: str, checkpoint: Path, seeds: list[int]) -> dict[str, Any]:
@@ -265,13 +268,17 @@ def _look(planner: str, proposals: bool, kind: int) -> dict[str, Any]:
 
 def main() -> int:
     """Run missing cells, print the table, draw the figure."""
-    options = read_options(VersusOptions, "policy_vs_mpc", may_be_empty=("planners",), budgets=8)
+    options = read_options(VersusOptions, "policy_vs_mpc", may_be_empty=("planners",), budgets=1)
     unknown = set(options.planners) - set(PLANNERS)
     if unknown:
         raise UserError(f"unknown planner {unknown.pop()!r}; choose from: {', '.join(PLANNERS)}")
     torch.set_num_threads(1)
     policy: dict[int, str] = {}
     todo = cells(options)
+    for subject, planner, budget, proposals in todo:
+        plan_config(
+            subject.env, planner, budget, proposals
+        )  # one that is too small is better said before hours of work
     for subject, planner, budget, proposals in todo:
         row = run_cell(subject, planner, budget, proposals, options)
         n, successes = len(row["successes"]), row["successes"]
