@@ -276,9 +276,7 @@ def main() -> int:
     policy: dict[int, str] = {}
     todo = cells(options)
     for subject, planner, budget, proposals in todo:
-        plan_config(
-            subject.env, planner, budget, proposals
-        )  # one that is too small is better said before hours of work
+        plan_config(subject.env, planner, budget, proposals)  # too small? better said before hours of work
     for subject, planner, budget, proposals in todo:
         row = run_cell(subject, planner, budget, proposals, options)
         n, successes = len(row["successes"]), row["successes"]
