@@ -121,7 +121,7 @@ def expected_lines(env: str) -> list[Line]:
 def full_line_of(identity: Mapping[str, Any]) -> Line | None:
     """As :func:`line_of`, None as well for another number of episodes than the task's own."""
     line, n_episodes = line_of(identity), identity.get("n_episodes", DEFAULT.n_episodes)
-    if line is None or preset(identity["env"], line.method, line.recipe).n_episodes != n_episodes:
+    if line is None or _usual(identity["env"], line.method, line.recipe)["n_episodes"] != n_episodes:
         return None
     return line
 

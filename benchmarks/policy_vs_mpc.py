@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,11 @@ def run_cell(subject: Subject, planner: str, budget: int, proposals: bool, optio
     return dict(row)
 
 
+@cache  # tables compare every row with it
+def _column_of_today(env: str, planner: str, budget: int, proposals: bool) -> str:
+    return column(plan_config(env, planner, budget, proposals))
+
+
 def comparable(
     rows: Iterable[dict[str, str]], episodes: int = 50, seed: int = 90_000, training_seed: int = 0
 ) -> list[dict[str, Any]]:
@@ -202,7 +208,7 @@ def comparable(
         if line is None or not same:
             continue
         budget, proposals = int(row["budget"]), row["proposals"] == "1"
-        if row[COLUMN] == column(plan_config(row["env"], row["planner"], budget, proposals)):
+        if row[COLUMN] == _column_of_today(row["env"], row["planner"], budget, proposals):
             found.append((line, row))
     measured = {(row["env"], line) for line, row in found}
     return [

@@ -157,6 +157,7 @@ class TrainConfig:
 
 
 DEFAULT = TrainConfig()
+_USUAL = flat(to_dict(DEFAULT))
 NO_DIFFERENCE = ("seed", "recipe")
 """Options that are no part of a question: a recipe is the values that it sets."""
 OF_THE_GATE = ("counts.pair_bits", "counts.goal_cell", "counts.n_lattices")
@@ -185,7 +186,7 @@ def identity_of(values: Mapping[str, Any]) -> dict[str, Any]:
     were. One that is unknown today is a difference, so such a row is never taken for one of today's. What a method does
     not ask for is no difference.
     """
-    usual, found = flat(to_dict(DEFAULT)), flat(values)
+    usual, found = _USUAL, flat(values)
     for name, value in found.items():  # 1 is 1.0
         if isinstance(usual.get(name, ""), float | None) and isinstance(value, int) and not isinstance(value, bool):
             found[name] = float(value)
