@@ -31,6 +31,7 @@ from benchmarks.command import read_options
 from benchmarks.curves import Line, is_current, line_of
 from benchmarks.planned import COLUMN, column
 from benchmarks.subjects import Subject
+from benchmarks.versus_figure import PLANNERS, SMOOTHING, draw
 from mpc.motion import action_rate
 from mpc.rollout import available_cores
 from napsp import envs as tasks
@@ -41,15 +42,12 @@ from napsp.policy.greedy import GreedyPolicy
 from napsp.settings import FIRST_SEED
 from napsp.statistics import describe, paired_proportions, wilson_interval
 from napsp.storage.checkpoint import load_model
-from napsp.storage.record import save_figure
 from napsp.storage.revision import git_revision
 from planners.app.config import PlanConfig
 from planners.app.options import RunOptions
 from planners.app.session import Session
 
 FILE = RESULTS / "policy_vs_mpc.csv"
-PLANNERS = ("mppi", "cem", "icem", "predictive_sampling")
-SMOOTHING = " + smoothing"
 
 
 @dataclass(frozen=True)
@@ -218,60 +216,6 @@ def comparable(
     ]
 
 
-def draw(env_name: str, episodes: int = 50, seed: int = 90_000, training_seed: int = 0) -> Path | None:
-    """Success against samples per step and against training episodes, as far as a task has rows of several."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    own = (row for row in read_results(FILE) if row["env"] == env_name)
-    found = comparable(own, episodes, seed, training_seed)
-    rows = [row for row in found if row["line"].in_figures]
-    kinds = list(dict.fromkeys(row["line"] for row in rows))
-    several = len(kinds) > 1
-    last, panels = max((int(row["training_episodes"]) for row in rows), default=0), {}
-    looks: dict[str, dict[str, Any]] = {}
-    for x in ("budget", "training_episodes"):
-        lines: dict[str, list[tuple[int, float]]] = {}
-        for row in rows:
-            name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
-            name += f" ({row['line'].name})" if several else ""
-            looks[name] = _look(row["planner"], row["proposals"] == "1", kinds.index(row["line"]))
-            if (int(row["training_episodes"]) == last) if x == "budget" else (row["budget"] in ("0", "64")):
-                lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
-        if any(len(points) > 1 for points in lines.values()):
-            panels[x] = lines
-    path = RESULTS / f"policy_vs_mpc_{tasks.file_name(env_name)}.png"
-    if not panels:  # one budget and one checkpoint each: the table says it all
-        return None
-    size = (5.2 if len(panels) == 1 else 8, 3 + (0.2 if several else 0.1) * len(looks))
-    figure, axes = plt.subplots(1, len(panels), figsize=size, layout="constrained")
-    for axis, (x, lines) in zip(np.atleast_1d(axes), panels.items(), strict=True):
-        for name, points in lines.items():
-            if name.startswith("policy") and x == "budget":
-                axis.axhline(points[0][1], label=name, **looks[name] | {"linestyle": ":"})
-            elif x == "budget" or len(points) > 1:  # single points stand in the other panel
-                axis.plot(*zip(*sorted(points), strict=True), label=name, **looks[name])
-        axis.set(
-            xlabel={"budget": "plans per control step"}.get(x, "training episodes"), ylabel="success", ylim=(0, 1.05)
-        )
-    handles = [axis.get_legend_handles_labels() for axis in figure.axes]
-    labelled = {name: line for lines, names in handles for line, name in zip(lines, names, strict=True)}
-    figure.legend(labelled.values(), labelled.keys(), fontsize=7, ncols=1 if several else 2, loc="outside lower center")
-    figure.suptitle(env_name if several else f"{env_name}, {rows[0]['line'].name}", fontsize=10)
-    save_figure(figure, path)
-    return path
-
-
-def _look(planner: str, proposals: bool, kind: int) -> dict[str, Any]:
-    """A colour for each planner, in every figure; hollow without the policy's rollout; markers tell methods apart."""
-    colour = f"C{PLANNERS.index(planner.removesuffix(SMOOTHING))}" if planner != "policy" else "black"
-    own, marker = proposals or planner == "policy", "s" if planner.endswith(SMOOTHING) else "o^vD"[kind % 4]
-    return {"color": colour, "linestyle": "-" if own else "--", "marker": marker, "markersize": 4,
-            "markerfacecolor": colour if own else "white"}  # fmt: skip
-
-
 def main() -> int:
     """Run missing cells, print the table, draw the figure."""
     options = read_options(VersusOptions, "policy_vs_mpc", may_be_empty=("planners",), budgets=1)
@@ -295,7 +239,8 @@ def main() -> int:
         print(f"{subject.env}: {training}  {name:30s} {budget:5d} plans  success {interval}  "
               f"minus policy {mean:+.2f} [{low:+.2f}, {high:+.2f}]  {float(row['plan_ms_median']):.0f} ms",
               flush=True)  # fmt: skip
-    picture = draw(tasks.canonical_name(options.env), options.episodes, options.seed, todo[0][0].seed)
+    own = [row for row in read_results(FILE) if row["env"] == todo[0][0].env]
+    picture = draw(comparable(own, options.episodes, options.seed, todo[0][0].seed))
     if picture is not None:
         print(f"picture: {picture}")
     return 0

@@ -26,7 +26,7 @@ def realtime_rows() -> list[dict[str, Any]]:
 def realtime_table() -> list[str]:
     """Success and time per plan over budgets."""
     lines = [
-        "### Planning in real time (`python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus --budgets 8 16`)",
+        "### Planning in real time (`python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus --budgets 4 8 16`)",
         "",
         "*plus*, the policy's rollout among the plans, 50 fresh episodes; the median time of a plan call stands beside the control period,",
         "which it may take while the robot goes on. The simulation waited for every plan. A line for each budget that was tried.",

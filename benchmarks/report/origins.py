@@ -87,7 +87,7 @@ ORIGINS: dict[Table, Origin] = {
         "training_seed", "seed",
     ),
     realtime_table: Origin(
-        "python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus --budgets 8 16",
+        "python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus --budgets 4 8 16",
         "results/policy_vs_mpc.csv", realtime_rows, "training_seed", "seed",
     ),
     training.accuracy_table: Origin(
