@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import warnings
 
 import pytest
 
@@ -30,3 +31,26 @@ def test_a_display_that_works_is_left_alone(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "nonsense")  # mujoco is imported already, with what worked
     import_mujoco()
     assert os.environ["MUJOCO_GL"] == "nonsense"
+
+
+@pytest.mark.parametrize(("module", "words"), [
+    ("mujoco.glfw", "no video: mujoco was imported when nothing said how to draw without a display; set MUJOCO_GL="),
+    ("mujoco.osmesa", "no video: no off-screen OpenGL here (no context); install libosmesa6 or libegl1"),
+])  # fmt: skip
+def test_a_notebook_that_imported_mujoco_first_is_told_what_helps(tmp_path, monkeypatch, module, words):
+    import mujoco
+
+    from napsp import envs
+    from planners.app.video import Video
+
+    def renderer(*_):
+        warnings.warn("X11: The DISPLAY environment variable is missing", stacklevel=2)
+        raise RuntimeError("no context")
+
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(mujoco, "GLContext", type("GLContext", (), {"__module__": module}), raising=False)
+    monkeypatch.setattr(mujoco, "Renderer", renderer)
+    env = envs.make("point_maze")
+    assert Video(tmp_path / "video.mp4", env.unwrapped).close().startswith(words)
+    env.close()

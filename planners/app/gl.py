@@ -45,6 +45,20 @@ def require_display() -> None:
         raise UserError(f"--render human needs a display, and {name} does not answer; leave it out and watch the video")
 
 
+def why_no_pictures(error: Exception) -> str:
+    """What went wrong where mujoco can not draw off-screen, and what would help.
+
+    In a notebook or a program of one's own mujoco is mostly imported before a command chooses how to draw.
+    """
+    import mujoco
+
+    context = getattr(mujoco, "GLContext", None)  # none if nothing was to be drawn
+    if context is not None and context.__module__ == "mujoco.glfw" and not _names_display():
+        return "mujoco was imported when nothing said how to draw without a display; set MUJOCO_GL=egl or osmesa before"
+    reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return f"no off-screen OpenGL here ({reason}); install libosmesa6 or libegl1"
+
+
 def _names_display() -> bool:
     # Elsewhere than on Linux there is one without being named.
     return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from mpc.controller import Plan
 from planners.app.frames import Film, OwnFrames, caption, captioned
+from planners.app.gl import why_no_pictures
 
 WIDTH, HEIGHT = 640, 480
 SHOWN_PLANS = 24
@@ -57,10 +59,11 @@ class Video:
         size.offwidth, size.offheight = max(size.offwidth, WIDTH), max(size.offheight, HEIGHT)
         self._renderer: Any = None
         try:
-            self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # glfw reports as warnings what the error is about
+                self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
         except Exception as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            self._problem = f"no video: no off-screen OpenGL here ({reason}); install libosmesa6 or libegl1"
+            self._problem = f"no video: {why_no_pictures(error)}"
         self._camera = self._make_camera()
 
     def _make_camera(self) -> Any:
