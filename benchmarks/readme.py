@@ -14,6 +14,7 @@ from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.command import read_options
 from benchmarks.tables_columns import columns_table
+from benchmarks.tables_minutes import minutes_table
 from benchmarks.tables_plus import ablation_table
 from benchmarks.tables_realtime import realtime_table
 from napsp.errors import run_command
@@ -25,9 +26,9 @@ START, END = "<!-- results:start -->", "<!-- results:end -->"
 TABLES: dict[Path, tuple[Table, ...]] = {
     README: (planning.glance_table,),
     PAGE: (
-        training.learning_table, planning.cost_table, planning.versus_table, realtime_table, training.accuracy_table,
-        ablation_table, planning.smoothing_table, training.training_table, training.coverage_table, training.gate_table,
-        speed.speed_table, speed.throughput_table, speed.learner_table,
+        training.learning_table, minutes_table, planning.cost_table, planning.versus_table, realtime_table,
+        training.accuracy_table, ablation_table, planning.smoothing_table, training.training_table,
+        training.coverage_table, training.gate_table, speed.speed_table, speed.throughput_table, speed.learner_table,
     ),
     GLOSSARY: (columns_table,),
 }  # fmt: skip

@@ -11,6 +11,7 @@ from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.cells import RESULTS, read_results
 from benchmarks.readme import Table
+from benchmarks.tables_minutes import minutes_rows, minutes_table
 from benchmarks.tables_plus import ablation_rows, ablation_table
 from benchmarks.tables_realtime import realtime_rows, realtime_table
 
@@ -78,6 +79,9 @@ ORIGINS: dict[Table, Origin] = {
         "results/policy_vs_mpc.csv, results/distance_as_cost.csv", planning.glance_rows, "training_seed", "seed",
     ),
     training.learning_table: Origin("python -m benchmarks.sweep", ROWS_OF_RUNS, training.learning_rows, "seed"),
+    minutes_table: Origin(
+        "python -m benchmarks.minutes --env NAME", "results/minutes.csv", minutes_rows, "seed"
+    ),
     planning.cost_table: Origin(
         "python -m benchmarks.distance_as_cost --env NAME", "results/distance_as_cost.csv", planning.cost_rows,
         "training_seed", "seed",

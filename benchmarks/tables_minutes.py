@@ -1,0 +1,39 @@
+"""Table of how long training takes beside another library, as lines of markdown."""
+
+from __future__ import annotations
+
+from benchmarks import minutes
+from benchmarks.cells import read_results
+from benchmarks.curves import METHODS
+
+TASKS = ("fetch_wall", "fetch_pick_place")
+
+
+def minutes_rows() -> list[dict[str, str]]:
+    """Every run that was timed, by task and method."""
+    order = (*METHODS, minutes.PEER)
+    return sorted(
+        read_results(minutes.FILE),
+        key=lambda row: (row["env"], order.index(row["method"]), int(row["seed"]), float(row["budget"])),
+    )
+
+
+def minutes_table() -> list[str]:
+    """Episodes and minutes of one core until .9 of the goals are held."""
+    rows = minutes_rows()
+    lines = [
+        "### Minutes of training (`python -m benchmarks.minutes --env NAME`)",
+        "",
+        "Until the first evaluation that holds 0.9 of the goals, the same for all; CPU time of one thread, evaluations included. stable_baselines3 is its SAC + HER",
+        "with the settings that RL Baselines3 Zoo publishes for FetchReach, and for FetchPickAndPlace where there is a box.",
+        "",
+        "| task | method | seed | 0.9 first at episode | minutes of a core |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows:
+        found = row["reached"] == "1"
+        episodes = row["episodes"] if found else f"never in {row['episodes']} ({float(row['success_rate']):.2f})"
+        spent = f"{float(row['minutes']):.1f}" if found else f"given up after {float(row['minutes']):.0f}"
+        lines.append(f"| {row['env']} | {row['method']} | {row['seed']} | {episodes} | {spent} |")
+    missing = [env for env in TASKS if env not in {row["env"] for row in rows}]
+    return lines + [f"| {env} | not run | | | |" for env in missing]

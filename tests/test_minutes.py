@@ -1,0 +1,68 @@
+"""Times of training beside Stable-Baselines3: both are asked the same, and runs end at enough success or too late."""
+
+import csv
+import itertools
+
+import numpy as np
+from tiny import tiny
+
+from benchmarks import minutes, tables_minutes
+from napsp import envs
+from napsp.data.outcomes import evaluate
+from napsp.policy.greedy import GreedyPolicy
+from napsp.run import EVALUATION_SEED
+from napsp.storage.checkpoint import load_model
+from napsp.storage.shipped import shipped_model
+
+
+def test_a_run_ends_when_enough_is_held_or_its_minutes_are_up(monkeypatch):
+    clock = itertools.count(30.0, 30.0)
+    monkeypatch.setattr(minutes.time, "process_time", lambda: next(clock))
+    watched = minutes.Watched(10.0, began=0.0)
+    assert watched(25, 0.2) and not watched(50, 0.9)
+    assert watched.figures() == {
+        "reached": 1, "episodes": 50, "minutes": 1.0, "success_rate": 0.9, "evaluations": "25:0.2:0.50 50:0.9:1.00"
+    }  # fmt: skip
+    late = minutes.Watched(0.9, began=60.0)
+    assert late(25, 0.2) and not late(50, 0.85)
+    assert late.figures()["reached"] == 0
+
+
+def test_goals_are_held_as_in_the_evaluations_of_training():
+    """The policy that ships holds some of the goals after 20 steps, and not all."""
+    env, model = envs.make("point_maze"), load_model(shipped_model("point_maze"), "point_maze")
+    policy, seeds = GreedyPolicy(model.policy), [EVALUATION_SEED + i for i in range(6)]
+    expected = evaluate([env], policy, seeds, 20)[0].reached[:, -1]
+    own = [
+        minutes.holds(env, lambda seen: policy(seen["observation"][None], seen["desired_goal"][None])[0], seed, 20)
+        for seed in seeds
+    ]
+    assert 0 < sum(own) < 6
+    np.testing.assert_array_equal(own, expected)
+
+
+def test_stable_baselines3_is_trained_and_asked_after_so_many_episodes():
+    told, settings = [], minutes.Published(32, (16, 16), learning_starts=50, buffer_size=1000, normalize=True)
+
+    def watch(episodes, success):
+        told.append((episodes, success))
+        return len(told) < 2
+
+    minutes.run_peer("fetch_reach", settings, 2, 1, 0, watch)
+    assert [episodes for episodes, _ in told] == [2, 4] and all(0 <= success <= 1 for _, success in told)
+
+
+def test_rows_stand_in_the_table_and_are_measured_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(minutes, "FILE", tmp_path / "minutes.csv")
+    monkeypatch.setattr(minutes, "preset", lambda env, method, recipe: tiny(env, method))
+    monkeypatch.setattr("napsp.library.preset", lambda env, method, *_, seed: tiny(env, method, seed=seed))
+    options = minutes.MinutesOptions("point_maze", ("sparse",), minutes=1e-6)
+    row = minutes.run_cell("point_maze", "sparse", options)
+    assert row["reached"] == "0" and row["episodes"] == "8" and "8:0:" in row["evaluations"]
+    assert minutes.run_cell("point_maze", "sparse", options) == row
+    with open(minutes.FILE, newline="") as file:
+        assert len(list(csv.DictReader(file))) == 1
+    assert any(
+        line.startswith("| point_maze | sparse | 0 | never in 8 (0.00) |") for line in tables_minutes.minutes_table()
+    )
+    assert minutes.Published.of("fetch_pick_place").batch_size == 1024 and minutes.Published.of("fetch_wall").normalize
