@@ -83,7 +83,7 @@ def campaign(method, n_kills, seed=0):
         resumes += (folder / STATE_FILE).is_file()
         child, status = begin(config, folder), None
         if kills < n_kills:
-            end = time.monotonic() + rng.uniform(0.0, 0.7 * length)
+            end = time.monotonic() + rng.uniform(0.1, 0.9) * length
             while time.monotonic() < end and os.waitid(os.P_PID, child, ALREADY) is None:
                 time.sleep(0.002)
             os.kill(child, signal.SIGKILL)
