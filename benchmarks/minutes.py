@@ -3,7 +3,8 @@
 Methods of this package beside Stable-Baselines3's SAC + HER with the settings that RL Baselines3 Zoo publishes: those
 of FetchReach for an arm alone, those of FetchPickAndPlace, of its TQC, where there is a box. All are asked for the same
 goals after as many episodes, and a run ends at the first evaluation that holds enough of them, or when its minutes are
-up. Minutes are CPU time of one thread, so that other work beside them counts little; evaluations are part of them.
+up. Minutes are CPU time of one thread, so that other work beside them counts little; evaluations are part of them, the
+imports before are not.
 """
 
 from __future__ import annotations
@@ -19,18 +20,20 @@ import numpy as np
 import torch
 
 import napsp
-from benchmarks.cells import RESULTS, append_result, as_text, find, read_results, usual_recipe
+from benchmarks.cells import RESULTS, append_result, as_text, machine, read_results, usual_recipe
 from benchmarks.command import read_options
 from napsp import envs as tasks
-from napsp.config import PAPER, preset
+from napsp.config import PAPER, TrainConfig, preset
+from napsp.envs.cards import CARDS
 from napsp.errors import UserError, choose, run_command
 from napsp.run import EVALUATION_SEED
-from napsp.storage.revision import git_revision
 
 FILE = RESULTS / "minutes.csv"
 PEER = "stable_baselines3"
 METHODS = ("plus", "sparse", "ours", PEER)
 ENOUGH = 0.9
+UNBOUNDED = 1_000_000  # episodes: a run is given up by its minutes
+KEY = ("env", "method", "seed", "settings")
 Watch = Callable[[float, float], bool]
 """Told episodes and success of each evaluation; False ends the run."""
 
@@ -55,20 +58,23 @@ class Published:
 
     batch_size: int
     net_arch: tuple[int, ...]
+    buffer_size: int
     tau: float = 0.005
     gamma: float = 0.95
     learning_rate: float = 1e-3
     learning_starts: int = 1000
-    buffer_size: int = 1_000_000
     n_sampled_goal: int = 4
     normalize: bool = False
 
     @classmethod
     def of(cls, env: str) -> Published:
-        """Those of the zoo's task that is most like ``env``: with a box, or without."""
+        """Those of the zoo's task that is most like ``env``: with a box, or without.
+
+        A buffer of the zoo's million steps would be searched whole in every update; without a box no run fills a tenth.
+        """
         if usual_recipe(env) == PAPER:
-            return cls(256, (64, 64), normalize=True)
-        return cls(1024, (512, 512, 512), tau=0.05, learning_starts=100)
+            return cls(256, (64, 64), 100_000, normalize=True)
+        return cls(1024, (512, 512, 512), 1_000_000, tau=0.05, learning_starts=100)
 
 
 @dataclass
@@ -93,25 +99,23 @@ class Watched:
         episodes, success, minutes = self.evaluations[-1]
         curve = " ".join(f"{n}:{share:g}:{spent:.2f}" for n, share, spent in self.evaluations)
         return {"reached": int(success >= ENOUGH), "episodes": episodes, "minutes": round(minutes, 2),
-                "success_rate": success, "evaluations": curve}  # fmt: skip
+                "success_rate": success, "budget": self.budget, "evaluations": curve}  # fmt: skip
 
 
-def run_own(env: str, method: str, seed: int, watch: Watch) -> None:
+def run_own(config: TrainConfig, watch: Watch) -> None:
     """A method of this package, in a folder that is thrown away."""
     with TemporaryDirectory() as folder:
         napsp.train(
-            env, method, seed=seed, recipe=usual_recipe(env), out=Path(folder) / "run",
-            on_evaluation=lambda row: watch(row["episodes"], row["success_rate"]),
+            config.env, config.method, seed=config.seed, recipe=config.recipe, episodes=UNBOUNDED,
+            out=Path(folder) / "run", on_evaluation=lambda row: watch(row["episodes"], row["success_rate"]),
         )  # fmt: skip
 
 
-def run_peer(env: str, settings: Published, every: int, n_goals: int, seed: int, watch: Watch) -> None:
-    """Stable-Baselines3's SAC + HER, evaluated after every so many episodes."""
-    try:
-        from stable_baselines3 import SAC, HerReplayBuffer
-        from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-    except ImportError:
-        raise UserError("Stable-Baselines3 is not installed; run: pip install 'napsp[test]'") from None
+def run_peer(env: str, settings: Published, every: int, n_goals: int, seed: int, watch: Watch) -> Any:
+    """Stable-Baselines3's SAC + HER, evaluated after every so many episodes; its model."""
+    from stable_baselines3 import SAC, HerReplayBuffer
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
     world: Any = DummyVecEnv([lambda: tasks.make(env)])
     if settings.normalize:
         world = VecNormalize(world, gamma=settings.gamma)
@@ -138,6 +142,7 @@ def run_peer(env: str, settings: Published, every: int, n_goals: int, seed: int,
         goes_on = watch(episodes, float(np.mean(held)))
     judged.close()
     world.close()
+    return model
 
 
 def holds(env: Any, act: Callable[[dict[str, np.ndarray]], np.ndarray], seed: int, length: int) -> bool:
@@ -148,33 +153,60 @@ def holds(env: Any, act: Callable[[dict[str, np.ndarray]], np.ndarray], seed: in
     return bool(info["is_success"])
 
 
+def question(env: str, method: str, seed: int) -> dict[str, Any]:
+    """What a row answers: task, method, seed, and today's settings with what is asked how often."""
+    config = preset(env, "plus" if method == PEER else method, usual_recipe(env))
+    settings = asdict(Published.of(env)) if method == PEER else config.identity()
+    asked = {"every": config.evaluate.every, "n_goals": config.evaluate.n_episodes, "enough": ENOUGH}
+    return {"env": env, "method": method, "seed": seed, "settings": as_text({**settings, **asked})}
+
+
+def answer(rows: list[dict[str, str]], asked: dict[str, Any], budget: float = 0.0) -> dict[str, str] | None:
+    """The row of a run that held enough, or was given up after no fewer minutes than ``budget``."""
+    own = [row for row in rows if all(row[name] == str(asked[name]) for name in KEY)]
+    return next((row for row in reversed(own) if row["reached"] == "1" or float(row["budget"]) >= budget), None)
+
+
 def run_cell(env: str, method: str, options: MinutesOptions) -> dict[str, str]:
     """The row of a run; measured if it is not there yet."""
-    own = preset(env, "plus" if method == PEER else method, usual_recipe(env))
-    published = Published.of(env)
-    settings = as_text(asdict(published) if method == PEER else own.identity())
-    key = {"env": env, "method": method, "seed": options.seed, "settings": settings, "budget": options.minutes}
-    row = find(read_results(FILE), key)
+    asked = question(env, method, options.seed)
+    row = answer(read_results(FILE), asked, options.minutes)
     if row is None:
-        print(f"{env}: {method}, until {ENOUGH:g} of {own.evaluate.n_episodes} goals are held", flush=True)
+        config = preset(env, "plus" if method == PEER else method, usual_recipe(env), seed=options.seed)
+        print(f"{env}: {method}, until {ENOUGH:g} of {config.evaluate.n_episodes} goals are held", flush=True)
+        tasks.make(env).close()  # what is imported for it is not training
+        version = _version_of_peer() if method == PEER else ""
         watched = Watched(options.minutes)
         if method == PEER:
-            run_peer(env, published, own.evaluate.every, own.evaluate.n_episodes, options.seed, watched)
+            every, n_goals = config.evaluate.every, config.evaluate.n_episodes
+            run_peer(env, Published.of(env), every, n_goals, options.seed, watched)
         else:
-            run_own(env, method, options.seed, watched)
-        append_result(FILE, {**key, **watched.figures(), "revision": git_revision()})
-        row = find(read_results(FILE), key)
+            run_own(config, watched)
+        append_result(FILE, {**asked, **watched.figures(), "library": version, **machine()})
+        row = answer(read_results(FILE), asked, options.minutes)
     assert row is not None
-    return dict(row)
+    return row
+
+
+def _version_of_peer() -> str:
+    try:
+        import stable_baselines3
+    except ImportError:
+        raise UserError("Stable-Baselines3 is not installed; run: pip install 'napsp[test]'") from None
+    return f"stable-baselines3 {stable_baselines3.__version__}"
 
 
 def main() -> int:
     """Run what is missing and say what took how long."""
     options = read_options(MinutesOptions, "minutes")
+    if not options.minutes > 0:
+        raise UserError(f"--minutes is {options.minutes}; it must be more than 0")
     for method in options.methods:
         if method not in METHODS:
             raise UserError(f"unknown method {method!r}; {choose(method, METHODS)}")
     env = tasks.canonical_name(options.env)
+    if env not in CARDS:
+        raise UserError(f"there are no published settings for {env}; {choose(env, CARDS)}")
     torch.set_num_threads(1)
     for method in options.methods:
         row = run_cell(env, method, options)

@@ -1,9 +1,9 @@
 """Times of training beside Stable-Baselines3: both are asked the same, and runs end at enough success or too late."""
 
-import csv
 import itertools
 
 import numpy as np
+import pytest
 from tiny import tiny
 
 from benchmarks import minutes, tables_minutes
@@ -21,7 +21,8 @@ def test_a_run_ends_when_enough_is_held_or_its_minutes_are_up(monkeypatch):
     watched = minutes.Watched(10.0, began=0.0)
     assert watched(25, 0.2) and not watched(50, 0.9)
     assert watched.figures() == {
-        "reached": 1, "episodes": 50, "minutes": 1.0, "success_rate": 0.9, "evaluations": "25:0.2:0.50 50:0.9:1.00"
+        "reached": 1, "episodes": 50, "minutes": 1.0, "success_rate": 0.9, "budget": 10.0,
+        "evaluations": "25:0.2:0.50 50:0.9:1.00"
     }  # fmt: skip
     late = minutes.Watched(0.9, began=60.0)
     assert late(25, 0.2) and not late(50, 0.85)
@@ -41,28 +42,43 @@ def test_goals_are_held_as_in_the_evaluations_of_training():
     np.testing.assert_array_equal(own, expected)
 
 
-def test_stable_baselines3_is_trained_and_asked_after_so_many_episodes():
-    told, settings = [], minutes.Published(32, (16, 16), learning_starts=50, buffer_size=1000, normalize=True)
+def test_stable_baselines3_is_trained_with_its_settings_and_asked_after_so_many_episodes(monkeypatch):
+    """Normalised by what it trains on alone; what it is asked does not enter its statistics."""
+    told, asked = [], []
+    settings = minutes.Published(32, (16, 16), 1000, learning_starts=60, normalize=True)
+
+    def answered(env, act, seed, length):
+        observation, _ = env.reset(seed=seed)
+        asked.append((act(observation), observation))
+        return seed == EVALUATION_SEED
 
     def watch(episodes, success):
         told.append((episodes, success))
         return len(told) < 2
 
-    minutes.run_peer("fetch_reach", settings, 2, 1, 0, watch)
-    assert [episodes for episodes, _ in told] == [2, 4] and all(0 <= success <= 1 for _, success in told)
+    monkeypatch.setattr(minutes, "holds", answered)
+    model = minutes.run_peer("fetch_reach", settings, 2, 4, 0, watch)
+    assert told == [(2, 0.25), (4, 0.25)]
+    assert model.num_timesteps == 200 and model._n_updates == 200 - 60
+    assert (model.batch_size, model.gamma, model.tau, model.learning_rate) == (32, 0.95, 0.005, 1e-3)
+    seen = model.get_vec_normalize_env().obs_rms["observation"]
+    assert seen.count == pytest.approx(201, abs=0.01)  # one reset more than steps, nothing of the eight evaluations
+    action, observation = asked[-1]
+    rows = model.get_vec_normalize_env().normalize_obs({name: value[None] for name, value in observation.items()})
+    np.testing.assert_array_equal(action, model.predict(rows, deterministic=True)[0][0])
 
 
-def test_rows_stand_in_the_table_and_are_measured_once(tmp_path, monkeypatch, capsys):
+def test_rows_stand_in_the_table_and_are_measured_once(tmp_path, monkeypatch):
     monkeypatch.setattr(minutes, "FILE", tmp_path / "minutes.csv")
-    monkeypatch.setattr(minutes, "preset", lambda env, method, recipe: tiny(env, method))
+    monkeypatch.setattr(minutes, "preset", lambda env, method, recipe, seed=0: tiny(env, method, seed=seed))
     monkeypatch.setattr("napsp.library.preset", lambda env, method, *_, seed: tiny(env, method, seed=seed))
-    options = minutes.MinutesOptions("point_maze", ("sparse",), minutes=1e-6)
-    row = minutes.run_cell("point_maze", "sparse", options)
+    row = minutes.run_cell("point_maze", "sparse", minutes.MinutesOptions(minutes=1e-6))
     assert row["reached"] == "0" and row["episodes"] == "8" and "8:0:" in row["evaluations"]
-    assert minutes.run_cell("point_maze", "sparse", options) == row
-    with open(minutes.FILE, newline="") as file:
-        assert len(list(csv.DictReader(file))) == 1
-    assert any(
-        line.startswith("| point_maze | sparse | 0 | never in 8 (0.00) |") for line in tables_minutes.minutes_table()
-    )
+    assert minutes.run_cell("point_maze", "sparse", minutes.MinutesOptions(minutes=1e-7)) == row
+    shown = "\n".join(tables_minutes.minutes_table())
+    assert "\n| point_maze | sparse | 0 | never in 8 (0.00) | given up after 0 |\n" in shown
+    asked = {name: row[name] for name in minutes.KEY}
+    assert minutes.answer([row], asked, 1.0) is None, "who asks for more minutes gets a run of as many"
+    assert minutes.answer([row | {"reached": "1"}], asked, 1.0), "one that held enough needs no more"
+    assert minutes.answer([row], asked | {"settings": "{}"}) is None
     assert minutes.Published.of("fetch_pick_place").batch_size == 1024 and minutes.Published.of("fetch_wall").normalize

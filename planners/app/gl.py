@@ -53,7 +53,8 @@ def why_no_pictures(error: Exception) -> str:
     import mujoco
 
     context = getattr(mujoco, "GLContext", None)  # none if nothing was to be drawn
-    if context is not None and context.__module__ == "mujoco.glfw" and not _names_display():
+    chosen = os.environ.get("MUJOCO_GL") == "glfw"
+    if context is not None and context.__module__ == "mujoco.glfw" and not chosen and not _names_display():
         return "mujoco was imported when nothing said how to draw without a display; set MUJOCO_GL=egl or osmesa before"
     reason = str(error).splitlines()[0] if str(error) else type(error).__name__
     return f"no off-screen OpenGL here ({reason}); install libosmesa6 or libegl1"
