@@ -176,6 +176,10 @@ def measure_collection(rounds: int) -> dict[str, float]:
     """CPU time per step of fetch_reach: stock step, ours on the same model, ours with the filtered arm."""
     from gymnasium_robotics.envs.fetch.fetch_env import MujocoFetchEnv
 
+    from napsp.envs.joint_types import mend_joint_types
+
+    mend_joint_types()
+
     class StockStep(FetchReachEnv):
         """The same model stepped by gymnasium-robotics' own code."""
 

@@ -1,5 +1,7 @@
 """Throughput: every planner has a row, peers simulate what napsp would, sizes become a fitted line. No timing."""
 
+import re
+import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -105,3 +107,12 @@ def test_fitted_line():
     assert scaling.fit_line(x, 3.0 + 0.5 * x) == pytest.approx((3.0, 0.5, 1.0))
     y = np.array([1.0, 3.0, 2.0])
     assert scaling.fit_line(x, y)[2] == pytest.approx(np.corrcoef(x, y)[0, 1] ** 2)
+
+
+@pytest.mark.slow
+def test_the_speed_command_runs_where_nothing_else_prepared_stock_robots():
+    command = [sys.executable, "-m", "benchmarks.rollout_speed", "--samples", "8", "--horizon", "2", "--rounds", "1"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    speeds = re.findall(r"^(?:plan_over|collection_speedup)\S* +([\d.]+)$", done.stdout, re.MULTILINE)
+    assert len(speeds) == 10 and all(float(speed) > 0 for speed in speeds)
