@@ -166,7 +166,7 @@ OF_REGRESSION = ("temporal.", "triangular.", "n_temporal_updates", "n_triangular
                  "policy.clip_values", "policy.clipped_double_q", "policy.entropy_weight",
                  "policy.min_entropy_weight")  # fmt: skip
 """Options, or beginnings of their names, for which only the paper's methods ask."""
-OF_GRAPH = ("graph.", "explore.explorers", "explore.patience", "explore.anew")
+OF_GRAPH = ("graph.", "explore.explorers", "explore.patience", "explore.anew", "explore.walk_hold")
 """For which plus asks, and qrl for the sake of its explorers."""
 
 

@@ -87,6 +87,18 @@ def test_explorers_are_as_many_as_their_share(n, share, expected):
     assert roles >= {"walk", "seek"} if share > 0.125 else {"policy", "walk"}
 
 
+@pytest.mark.parametrize(("walk_hold", "expected"), [(None, 1.0), (1, 1.0), (9, 5.0)])
+def test_walks_of_explorers_hold_their_actions_as_long_as_they_are_told(walk_hold, expected):
+    changes = {"explore.explorers": 1.0, "explore.hold": 1, "explore.walk_hold": walk_hold}
+    config = tiny(method="plus", episodes_per_iteration=4, **changes)
+    envs = [tasks.make(config.env) for _ in range(4)]
+    joined, actor = Explorers.of(config).join(envs, lambda s, g: np.zeros((4, 2)), new_learner(config, envs))
+    assert len(joined) == 4 and actor._roles[0] == "walk"
+    actions = np.array([actor(np.zeros((4, 4)), None)[0] for _ in range(4000)])
+    held = 1.0 / (np.diff(actions, axis=0) != 0).any(1).mean()
+    assert held == pytest.approx(expected, rel=0.1)
+
+
 def test_explorers_give_up_where_no_graph_comes_of_it():
     config = tiny(method="plus", episodes_per_iteration=4, **{"explore.explorers": 0.5, "explore.patience": 8})
     envs = [tasks.make(config.env) for _ in range(4)]

@@ -36,12 +36,15 @@ class ExplorationConfig:
     too wide for one they would go on for ever."""
     anew: int = 200
     """Every so many of its episodes an explorer begins with a reset, wherever it got stuck."""
+    walk_hold: int | None = None
+    """As ``hold``, for the random walks of explorers; None is ``hold``. At 1 a walk hardly gets anywhere."""
 
     def __post_init__(self) -> None:
         check_ranges(
             self,
             epsilon=(0, 1),
             hold=(1, MANY),
+            walk_hold=(1, MANY),
             held_starts=(0, 1),
             explorers=(0, 1),
             patience=(0, MANY),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -120,6 +121,7 @@ class Explorers:
 
     def __init__(self, worlds: list[Ongoing], config: ExplorationConfig, length: int) -> None:
         self.worlds, self._config, self._length = worlds, config, length
+        self._walking = replace(config, hold=config.walk_hold or config.hold)
 
     @classmethod
     def of(cls, config: TrainConfig) -> Explorers:
@@ -153,6 +155,6 @@ class Explorers:
             if role == "seek" and graph is not None and ready:
                 world.goal = graph.draw(rng).astype(np.float64)
         roles = ["policy"] * (n - len(chosen)) + [role for _, role in chosen]
-        walk = ExploringActor(None, envs[0].action_space.shape[0], self._config, rng, learner.generator)
+        walk = ExploringActor(None, envs[0].action_space.shape[0], self._walking, rng, learner.generator)
         joined = [*envs[: n - len(chosen)], *(world for world, _ in chosen)]
         return joined, RoleActor(actor, walk, roles, self._length)
