@@ -109,6 +109,10 @@ class TrainConfig:
         check_ranges(self, replay_capacity=(1, MANY), **dict.fromkeys(updates, (0, MANY)))
         if self.jointly and self.policy.agent != "ddpg":
             raise UserError(f"method {self.method} has a deterministic policy of its own; leave out --policy.agent")
+        if self.policy.slow and self.policy.agent == "sac":
+            raise UserError(
+                "--policy.slow needs --policy.agent ddpg or --method plus: SAC has no slow copy of its policy"
+            )
         if (self.method == "qrl") != (self.distance.head == "latent"):
             raise UserError("--distance.head latent belongs to --method qrl alone, and qrl has no other")
         if not self.hidden or min(self.hidden) < 1:
@@ -175,7 +179,7 @@ def idle_options(method: str) -> tuple[str, ...]:
     if method == "plus":
         return (*OF_REGRESSION, "qrl.")
     if method == "qrl":
-        return (*OF_REGRESSION, "bootstrap.", "distance.loss", "distance.target_polyak", "policy.polyak")
+        return (*OF_REGRESSION, "bootstrap.", "distance.loss", "distance.target_polyak", "policy.polyak", "policy.slow")
     return (*OF_GRAPH, "bootstrap.", "qrl.")
 
 

@@ -170,7 +170,7 @@ class Run:
         return self.interrupted
 
     def _evaluate(self) -> Row:
-        config, actor = self.config, GreedyPolicy(self.learner.agent.policy)
+        config, actor = self.config, GreedyPolicy(self.learner.agent.trusted)
         seeds = [EVALUATION_SEED + i for i in range(config.evaluate.n_episodes)]
         result, episodes = evaluate(self.envs, actor, seeds, config.episode_length)
         row = {
@@ -212,7 +212,7 @@ class Run:
             distance, visits = learner.distance.trusted, learner.counts.visit_counts
         path, episodes = self.folder / MODEL_FILE, learner.buffer.n_seen
         save_model(
-            path, learner.agent.policy, distance, self.config, self.sizes, episodes, visits, own_box(self.envs[0])
+            path, learner.agent.trusted, distance, self.config, self.sizes, episodes, visits, own_box(self.envs[0])
         )
 
     @property

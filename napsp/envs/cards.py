@@ -132,7 +132,7 @@ CARDS: dict[str, Card] = {
         200,
         {"scale": 4.0},
         n_effector=2,
-        plus={"n_policy_updates": 400, "graph.n_goals": 6000, "explore.walk_hold": 24},
+        plus={"n_policy_updates": 400, "graph.n_goals": 6000, "explore.walk_hold": 24, "policy.slow": True},
         training={
             "n_episodes": 600,
             "episodes_per_iteration": 4,

@@ -27,6 +27,9 @@ class PolicyConfig:
     """Discount of the policy's return."""
     polyak: float = 0.01
     """Weight of the new critic parameters in their target, per update."""
+    slow: bool = False
+    """Evaluate, save and plan with the policy's slow copy, which DDPG and method plus have; collect with the fast one.
+    Where what an action changes in d is little of d, the fast one swings from update to update."""
     clip_values: bool = True
     """Clip the critics' targets to [-1 / (1 - discount), 0], where the rewards alone would keep them."""
     entropy_weight: float | None = None
@@ -110,7 +113,12 @@ class Agent(Protocol):
 
     @property
     def policy(self) -> Policy:
-        """What acts."""
+        """What is trained, and collects episodes."""
+        ...
+
+    @property
+    def trusted(self) -> Policy:
+        """What is evaluated and saved: the policy, or with ``policy.slow`` its slow copy."""
         ...
 
     def train(self, transitions: Any, batch_size: int, generator: torch.Generator) -> dict[str, float]:

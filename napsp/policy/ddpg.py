@@ -42,8 +42,9 @@ class DDPG:
         device = execution.torch_device
         self.policy = DeterministicPolicy(sizes, hidden, config.action_noise).to(device)
         self.critic = Critic(sizes, hidden, 1 + config.clipped_double_q).to(device)
-        self._slow = Slow(self.policy, config.polyak), Slow(self.critic, config.polyak)
-        self.target_policy, self.target_critic = (slow.network for slow in self._slow)
+        slow_policy, slow_critic = Slow(self.policy, config.polyak), Slow(self.critic, config.polyak)
+        self.target_policy, self.target_critic = slow_policy.network, slow_critic.network
+        self._slow = slow_policy, slow_critic
         self._critic_parameters = list(self.critic.parameters())
         self.optimizers = {
             "policy_optimizer": execution.adam(self.policy.parameters(), config.learning_rate),
@@ -51,6 +52,11 @@ class DDPG:
         }
         self._critic_loss, self._policy_loss = execution.loss(critic_loss), execution.loss(policy_loss)
         self._update = execution.update(self._update_once)
+
+    @property
+    def trusted(self) -> DeterministicPolicy:
+        """See :class:`napsp.policy.agent.Agent`."""
+        return self.target_policy if self.config.slow else self.policy
 
     def train(self, transitions: PolicyBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
         """Update everything once per batch of raw transitions; ends are treated as in SAC."""

@@ -87,6 +87,11 @@ class QRL:
         self._distance_loss, self._policy_loss = execution.loss(distance_loss), execution.loss(policy_loss)
         self._update = execution.update(self._update_once)
 
+    @property
+    def trusted(self) -> DeterministicPolicy:
+        """The policy: it has no slow copy."""
+        return self.policy
+
     def train(self, transitions: DescentBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
         """Update everything once per batch of raw transitions ``(n * batch_size, .)``; figures to log."""
         del generator  # deterministic

@@ -56,6 +56,11 @@ class SAC:
         self._critic_loss, self._policy_loss = execution.loss(critic_loss), execution.loss(policy_loss)
         self._update = execution.update(self._update_once)
 
+    @property
+    def trusted(self) -> GaussianPolicy:
+        """The policy: it has no slow copy."""
+        return self.policy
+
     def train(self, transitions: PolicyBatch, batch_size: int, generator: torch.Generator) -> dict[str, float]:
         """Update everything once per batch of raw transitions ``(n * batch_size, .)``; figures to log.
 
