@@ -109,10 +109,8 @@ class TrainConfig:
         check_ranges(self, replay_capacity=(1, MANY), **dict.fromkeys(updates, (0, MANY)))
         if self.jointly and self.policy.agent != "ddpg":
             raise UserError(f"method {self.method} has a deterministic policy of its own; leave out --policy.agent")
-        if self.policy.slow and self.policy.agent == "sac":
-            raise UserError(
-                "--policy.slow needs --policy.agent ddpg or --method plus: SAC has no slow copy of its policy"
-            )
+        if self.policy.slow and (self.policy.agent == "sac" or self.method == "qrl"):
+            raise UserError("--policy.slow needs --policy.agent ddpg or --method plus: SAC and qrl keep no slow policy")
         if (self.method == "qrl") != (self.distance.head == "latent"):
             raise UserError("--distance.head latent belongs to --method qrl alone, and qrl has no other")
         if not self.hidden or min(self.hidden) < 1:
@@ -222,14 +220,16 @@ PLUS: dict[str, Any] = {
 """What method plus differs in from the defaults, on every task."""
 
 
-QRL: dict[str, Any] = PLUS | {
+QRL: dict[str, Any] = {
     "distance.head": "latent",
     "distance.slow": False,
     "distance.learning_rate": 1e-4,
     "policy.learning_rate": 3e-4,
+    "policy.slow": False,
 }
-"""What method qrl differs in: collection, sizes of layers and amounts of work are those of plus."""
-JOINTLY = {"plus": PLUS, "qrl": QRL}
+"""What method qrl differs in from plus: collection, sizes of layers and amounts of work are those of plus."""
+JOINTLY: dict[str, dict[str, Any]] = {"plus": {}, "qrl": QRL}
+"""Methods whose networks are distance and critic in one, and their differences from plus."""
 
 
 def preset(
@@ -253,7 +253,7 @@ def preset(
     if method != "sparse":
         values |= chosen.with_distance
     if method in JOINTLY:
-        values |= JOINTLY[method] | (dict(CARDS[env].plus) if env in CARDS else {})
+        values |= PLUS | (dict(CARDS[env].plus) if env in CARDS else {}) | JOINTLY[method]
     values |= {"env": env, "method": method, "recipe": recipe, **(changes or {}), **overrides}
     return changed(DEFAULT, values)
 

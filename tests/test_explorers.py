@@ -87,9 +87,9 @@ def test_explorers_are_as_many_as_their_share(n, share, expected):
     assert roles >= {"walk", "seek"} if share > 0.125 else {"policy", "walk"}
 
 
-@pytest.mark.parametrize(("walk_hold", "expected"), [(None, 1.0), (1, 1.0), (9, 5.0)])
+@pytest.mark.parametrize(("walk_hold", "expected"), [(None, 2.0), (1, 1.0), (9, 5.0)])
 def test_walks_of_explorers_hold_their_actions_as_long_as_they_are_told(walk_hold, expected):
-    changes = {"explore.explorers": 1.0, "explore.hold": 1, "explore.walk_hold": walk_hold}
+    changes = {"explore.explorers": 1.0, "explore.hold": 3, "explore.walk_hold": walk_hold}
     config = tiny(method="plus", episodes_per_iteration=4, **changes)
     envs = [tasks.make(config.env) for _ in range(4)]
     joined, actor = Explorers.of(config).join(envs, lambda s, g: np.zeros((4, 2)), new_learner(config, envs))

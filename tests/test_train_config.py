@@ -61,7 +61,7 @@ def test_bad_settings_name_the_fix():
         ({"method": "magic"}, "choose one of: sparse, ddl, offpolicy_ddl, ours"),
         ({"distance.head": "mlq"}, "unknown head 'mlq'; did you mean mlp. choose one of: mlp, quasimetric"),
         ({"policy.agent": "td3"}, "unknown agent 'td3'; choose one of: sac, ddpg"),
-        ({"policy.slow": True}, "SAC has no slow copy of its policy"),
+        ({"policy.slow": True}, "SAC and qrl keep no slow policy"),
         ({"distance.loss": "cubic"}, "unknown loss 'cubic'; choose one of: squared"),
         ({"batch_size": 0}, "batch_size is 0; it must lie between 1"),
         ({"uncertainty.scale": 0.0}, "scale is 0.0"),

@@ -51,7 +51,7 @@ class Card:
         aliases: further names.
         n_effector: how many numbers at the start of an observation say where the end effector is (claw: its joints).
         training: differences from the default training configuration, by dotted names.
-        plus: further ones for method plus.
+        plus: further ones for methods plus and qrl.
         recipes: named sets of choices beyond the paper.
         planning: what it is planned with.
         suite: the paper's tasks, harder ones, or variants that no table shows.
@@ -138,7 +138,8 @@ CARDS: dict[str, Card] = {
             "episodes_per_iteration": 4,
             "n_policy_updates": 100,
             "uncertainty.scale": 40.0,
-            "explore.hold": 1,  # the paper's epsilon exploration: with held actions even sparse crosses the house
+            # The paper's epsilon exploration: even sparse crosses the house with held actions. Walkers of plus hold.
+            "explore.hold": 1,
             "explore.epsilon": 0.3,
             "evaluate.every": 100,
         },

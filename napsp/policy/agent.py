@@ -26,10 +26,10 @@ class PolicyConfig:
     discount: float = 0.98
     """Discount of the policy's return."""
     polyak: float = 0.01
-    """Weight of the new critic parameters in their target, per update."""
+    """Weight of the new parameters in the slow copies of critics and policy, per update."""
     slow: bool = False
-    """Evaluate, save and plan with the policy's slow copy, which DDPG and method plus have; collect with the fast one.
-    Where what an action changes in d is little of d, the fast one swings from update to update."""
+    """Evaluate, save and plan with the slow copy of the policy, which DDPG and plus have; the trained one collects.
+    Where one action changes d by a small share of it, the trained one swings from update to update."""
     clip_values: bool = True
     """Clip the critics' targets to [-1 / (1 - discount), 0], where the rewards alone would keep them."""
     entropy_weight: float | None = None
