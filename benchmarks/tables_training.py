@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, read_results, training_of
 from benchmarks.coverage import CoverageOptions
-from benchmarks.curves import Line, current_runs, expected_lines, full_line_of, is_current
+from benchmarks.curves import Line, current_runs, expected_lines, full_line_of, is_current, line_of
 from benchmarks.distance_accuracy import AccuracyOptions
 from benchmarks.units import in_unit
 from napsp.config import DEFAULT, OF_THE_GATE, from_dict, preset
@@ -153,14 +153,17 @@ ACCURACY = {
 
 
 def accuracy_groups() -> dict[tuple[str, str], list[dict[str, str]]]:
-    """Rows of all training seeds, by task and method."""
+    """Rows of all training seeds, by task and method; a method of other than the task's episodes is named with them."""
     usual = (str(AccuracyOptions.n_starts), str(AccuracyOptions.n_goals))
     groups: dict[tuple[str, str], list[dict[str, str]]] = {}
     for row in read_results(RESULTS / "distance_accuracy.csv"):
         training = training_of(row)
-        line = full_line_of(training) if training else None
+        line = line_of(training) if training else None
         if (row["n_starts"], row["n_goals"]) in (usual, ("", "")) and (line is not None or training is None):
-            groups.setdefault((row["env"], line.name if line else row["method"]), []).append(row)
+            name = line.name if line else row["method"]
+            if training and full_line_of(training) is None:
+                name += f", {training.get('n_episodes', DEFAULT.n_episodes)} episodes"
+            groups.setdefault((row["env"], name), []).append(row)
     return groups
 
 

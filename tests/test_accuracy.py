@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import best_known, distance_accuracy, maze_probe
+from benchmarks import best_known, cells, distance_accuracy, maze_probe, tables_training
 from benchmarks.distance_accuracy import agreement, best_actions, figures_of, triangles
 from benchmarks.maze_probe import Probe
 from napsp import envs as tasks
+from napsp.config import preset
 from napsp.errors import UserError
 
 
@@ -138,3 +139,20 @@ def test_a_model_that_ships_is_measured_against_what_is_known(tmp_path, monkeypa
     assert 0.5 < found["spearman"] <= 1 and found["models"] == 1
     assert {"pearson", "ratio_cv", "mean_ratio", "triangle_rate", "distance_at_goal"} <= found.keys()
     assert "2 episodes known, 2 shorter than before" in capsys.readouterr().out
+
+
+def test_models_of_other_than_the_tasks_episodes_have_a_line_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tables_training, "RESULTS", tmp_path)
+    whole, short = preset("point_maze", "plus"), preset("point_maze", "plus", n_episodes=300)
+    trainings = ["", *(cells.as_text(config.identity()) for config in (whole, short))]
+    asked = {"env": "point_maze", "n_starts": 26, "n_goals": 8, "spearman": 0.5}
+    rows = [
+        {**asked, "method": "plus" if training else "straight line", "training": training, "seed": seed}
+        for training in trainings
+        for seed in (0, 1)
+    ]
+    cells.replace_results(tmp_path / "distance_accuracy.csv", (), rows)
+    groups = tables_training.accuracy_groups()
+    assert {name: len(group) for (_, name), group in groups.items()} == {
+        "straight line": 2, "plus": 2, "plus, 300 episodes": 2}  # fmt: skip
