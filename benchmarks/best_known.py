@@ -101,7 +101,7 @@ def main() -> int:
     known, shorter = ways(session.env_name), 0
     before = [way["steps"] for way in known.values()]
     for seed in range(options.seed, options.seed + options.episodes):
-        result, best = session.run_episode(seed), known.get(str(seed))
+        result, best = session.run_episode(seed, hold=1), known.get(str(seed))  # a way ends where it arrives
         if result.first_hit is not None and (best is None or result.first_hit < best["steps"]):
             found = {"planner": options.planner, "samples": options.samples, "horizon": session.horizon,
                      "checkpoint": str(options.checkpoint or session.env_name), "revision": git_revision()}  # fmt: skip
