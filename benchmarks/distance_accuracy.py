@@ -37,6 +37,8 @@ SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "triangle_rate", "tria
          "best_action_rate")  # fmt: skip
 BINS = (0, 5, 10, 20, 40, np.inf)
 STRAIGHT = "straight line"
+STARTS, STARTS_LONG = 26, 4
+"""In each room of a maze, and of the long one."""
 KEY = ("env", "method", "training", "seed", "n_starts", "n_goals")
 
 Steps = Callable[[np.ndarray, np.ndarray | None, np.ndarray], np.ndarray]
@@ -55,8 +57,9 @@ class AccuracyOptions:
     """Measure trained cells of these methods instead; missing ones are trained first."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Their training seeds."""
-    n_starts: int = 26
-    """Starts in each room of a maze; each costs a search, every fourth one three."""
+    n_starts: int | None = None
+    """Starts in each room of a maze; each costs a search, every fourth one three. Default 26, and 4 in the long maze,
+    where a search takes most of a minute."""
     n_goals: int = 8
     """Goals in each room for every start."""
     json: Path | None = None
@@ -162,6 +165,11 @@ def draw(path: Path, panels: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
     save_figure(figure, path)
 
 
+def usual_starts(env_name: str) -> int:
+    """Starts in each room of a maze, unless asked otherwise."""
+    return STARTS_LONG if env_name == "point_maze_long" else STARTS
+
+
 def subjects(options: AccuracyOptions, env_name: str) -> Iterator[Subject]:
     """Whom to measure."""
     if not options.methods:
@@ -180,11 +188,12 @@ def main() -> int:
     torch.set_num_threads(1)
     chosen = [(subject, load_model(subject.checkpoint(), env_name)) for subject in subjects(options, env_name)]
     in_maze = env_name.startswith("point_maze")
-    probe = maze_probe(env_name, options.n_starts, options.n_goals) if in_maze else known_probe(env_name)
+    n_starts = options.n_starts or usual_starts(env_name)
+    probe = maze_probe(env_name, n_starts, options.n_goals) if in_maze else known_probe(env_name)
     known = probe.steps[np.isfinite(probe.steps)]
     print(f"{env_name}: {len(known)} pairs, {known.mean():.1f} steps in the mean")
     print("method          seed  " + "  ".join(name.rjust(18) for name in SHOWN))
-    sizes = {"n_starts": options.n_starts if in_maze else "", "n_goals": options.n_goals if in_maze else ""}
+    sizes = {"n_starts": n_starts if in_maze else "", "n_goals": options.n_goals if in_maze else ""}
     rows, panels = [], {}
     if in_maze:
         line = straight_steps(env_name, probe)

@@ -16,20 +16,21 @@ class MazeSearch:
 
     States are sorted into cells of position and velocity; a cell keeps the first state that
     entered it, exactly as simulated, so every distance found is that of a real motion. It is
-    an upper bound that falls to the truth as the cells shrink.
+    an upper bound that falls to the truth as the cells shrink. Cells have to be smaller than a step, or they keep who
+    enters them back: with cells of .16 m for steps of .1 m the ways of the long maze came out half as long again.
 
     Args:
         world: the maze.
-        position_cell: edge of a position cell, in units of the maze's scale.
+        position_cell: edge of a position cell, in steps at full speed. .4 is 1 % above .2, .8 2.6 %.
         n_speeds: velocity cells per axis.
         tolerance: a goal counts as reached within this radius, in units of the scale.
     """
 
     def __init__(
-        self, world: PointMazeEnv, position_cell: float = 0.04, n_speeds: int = 5, tolerance: float = 0.05
+        self, world: PointMazeEnv, position_cell: float = 0.4, n_speeds: int = 5, tolerance: float = 0.05
     ) -> None:
         self._world, self._model = world, world.model
-        self._cell, self._n_speeds = position_cell * world.scale, n_speeds
+        self._cell, self._n_speeds = position_cell * world.step_length, n_speeds
         self._tolerance = tolerance * world.scale
         self._datas = [mujoco.MjData(world.model) for _ in range(2)]
         self._pool = Rollout(nthread=2)
@@ -61,7 +62,7 @@ class MazeSearch:
         return steps
 
     def _keys(self, states: np.ndarray) -> np.ndarray:
-        position = np.floor(states[:, :2] / self._cell).astype(np.int64) + 1000
+        position = np.floor(states[:, :2] / self._cell).astype(np.int64) + 1000  # of 4000: mazes to 80 m
         # Speeds lie in [-1, 1] m/s.
         speed = np.clip(((states[:, 2:] + 1.0) / 2.0 * self._n_speeds).astype(np.int64), 0, self._n_speeds - 1)
         return ((position[:, 0] * 4000 + position[:, 1]) * self._n_speeds + speed[:, 0]) * self._n_speeds + speed[:, 1]

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.cells import RESULTS, read_results, training_of
 from benchmarks.coverage import CoverageOptions
 from benchmarks.curves import Line, current_runs, expected_lines, full_line_of, is_current, line_of
-from benchmarks.distance_accuracy import AccuracyOptions
+from benchmarks.distance_accuracy import AccuracyOptions, usual_starts
 from benchmarks.units import in_unit
 from napsp.config import DEFAULT, OF_THE_GATE, from_dict, preset
 from napsp.envs.cards import suite
@@ -154,11 +154,11 @@ ACCURACY = {
 
 def accuracy_groups() -> dict[tuple[str, str], list[dict[str, str]]]:
     """Rows of all training seeds, by task and method; a method of other than the task's episodes is named with them."""
-    usual = (str(AccuracyOptions.n_starts), str(AccuracyOptions.n_goals))
     groups: dict[tuple[str, str], list[dict[str, str]]] = {}
     for row in read_results(RESULTS / "distance_accuracy.csv"):
         training = training_of(row)
         line = line_of(training) if training else None
+        usual = (str(usual_starts(row["env"])), str(AccuracyOptions.n_goals))
         if (row["n_starts"], row["n_goals"]) in (usual, ("", "")) and (line is not None or training is None):
             name = line.name if line else row["method"]
             if training and full_line_of(training) is None:
@@ -186,7 +186,7 @@ def accuracy_table() -> list[str]:
         f"|---|---|---|{'---|' * len(ACCURACY)}",
     ]
     for (env, name), group in sorted(accuracy_groups().items()):
-        values = {k: [float(row[k]) for row in group if row.get(k)] for k in ACCURACY}
+        values = {k: [float(row[k]) for row in group if row.get(k) not in (None, "", "nan")] for k in ACCURACY}
         cells = [describe(*interquartile_mean(found)) if found else "-" for found in values.values()]
         lines.append(f"| {env} | {name} | {len(group) if group[0]['seed'] else '-'} | {' | '.join(cells)} |")
     return lines

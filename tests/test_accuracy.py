@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import best_known, cells, distance_accuracy, maze_probe, tables_training
+from benchmarks import best_known, cells, distance_accuracy, maze_probe, maze_truth, tables_training
 from benchmarks.distance_accuracy import agreement, best_actions, figures_of, triangles
 from benchmarks.maze_probe import Probe
 from napsp import envs as tasks
@@ -72,8 +72,8 @@ def test_a_mazes_probe_is_balanced_and_kept(tmp_path, monkeypatch):
     asked = []
 
     class Search:
-        def __init__(self, world, tolerance):
-            assert tolerance == pytest.approx(0.1), "the task's own radius"
+        def __init__(self, world, n_speeds, tolerance):
+            assert n_speeds == 5 and tolerance == pytest.approx(0.1), "the task's own radius"
 
         def step(self, states, actions):
             asked.append(states[0])
@@ -101,6 +101,18 @@ def test_a_mazes_probe_is_balanced_and_kept(tmp_path, monkeypatch):
         path = next(tmp_path.iterdir())
         path.write_text(json.dumps({**json.loads(path.read_text()), "asked": "where is the milk"}))
         maze_probe.maze_probe("point_maze", 4, 2)
+
+
+def test_searched_ways_are_as_fast_as_the_point_in_a_maze_of_any_size():
+    for name in ("point_maze", "point_maze_long"):
+        world = tasks.make(name).unwrapped
+        search = maze_truth.MazeSearch(world, n_speeds=3, tolerance=world.distance_threshold / world.scale)
+        start = np.array([-0.8, -0.8]) * world.scale
+        ahead = np.array([min(0.65 * world.scale, 1.4), 0.0])  # a clear way in the room
+        found = search.steps_to(np.concatenate([start, np.zeros(2)]), (start + ahead)[None])
+        search.close()
+        least = (ahead[0] - world.distance_threshold) / world.step_length
+        assert least <= found[0] <= least + 2.5, "a step or two to get going, and one to end inside"
 
 
 def test_ways_that_are_known_are_followed_in_the_environment(tmp_path, monkeypatch):
