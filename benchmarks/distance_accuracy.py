@@ -188,7 +188,7 @@ def main() -> int:
     torch.set_num_threads(1)
     chosen = [(subject, load_model(subject.checkpoint(), env_name)) for subject in subjects(options, env_name)]
     in_maze = env_name.startswith("point_maze")
-    n_starts = options.n_starts or usual_starts(env_name)
+    n_starts = usual_starts(env_name) if options.n_starts is None else options.n_starts
     probe = maze_probe(env_name, n_starts, options.n_goals) if in_maze else known_probe(env_name)
     known = probe.steps[np.isfinite(probe.steps)]
     print(f"{env_name}: {len(known)} pairs, {known.mean():.1f} steps in the mean")

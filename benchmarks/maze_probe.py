@@ -90,14 +90,14 @@ def _truth(path: Path, world: Any, starts: np.ndarray, actions: np.ndarray, goal
     tolerance = world.distance_threshold / world.scale  # what the task itself counts as being there
     questions = (starts, actions, goals, np.array(tolerance))
     asked = hashlib.sha256(b"".join(np.round(part, 9).tobytes() for part in questions)).hexdigest()
+    n_speeds = N_SPEEDS if world.scale <= 1.0 else N_SPEEDS_LARGE
     if path.is_file():
         stored = read_json(path, AGAIN)
-        if stored.get("asked") != asked:
+        if stored.get("asked") != asked or stored.get("n_speeds", N_SPEEDS) != n_speeds:
             raise UserError(f"{path} answers other questions; remove it, and the search begins again")
         with sound(path, AGAIN):
             steps = np.array(stored["steps"], float).reshape(*actions.shape[:2], goals.shape[1])
         return np.where(steps < 0, np.inf, steps)
-    n_speeds = N_SPEEDS if world.scale <= 1.0 else N_SPEEDS_LARGE
     search = MazeSearch(world, n_speeds=n_speeds, tolerance=tolerance)
     steps = np.empty((*actions.shape[:2], goals.shape[1]))
     for i, state in enumerate(starts):
@@ -109,5 +109,6 @@ def _truth(path: Path, world: Any, starts: np.ndarray, actions: np.ndarray, goal
     print()
     search.close()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, {"asked": asked, "steps": np.where(np.isinf(steps), -1, steps).astype(int).tolist()})
+    kept = np.where(np.isinf(steps), -1, steps).astype(int).tolist()
+    write_json(path, {"asked": asked, "n_speeds": n_speeds, "steps": kept})
     return steps
