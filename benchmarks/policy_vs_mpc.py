@@ -9,7 +9,7 @@ policy that learns from it works. Cells that are already in ``results/`` are not
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -24,6 +24,7 @@ from benchmarks.cells import (
     as_text,
     find,
     read_results,
+    shipped_training,
     training_of,
     usual_recipe,
 )
@@ -192,17 +193,25 @@ def _column_of_today(env: str, planner: str, budget: int, proposals: bool) -> st
     return column(plan_config(env, planner, budget, proposals))
 
 
+def usual_seed(training: Mapping[str, Any]) -> int:
+    """Training seed of the model that ships with this training; 0 if none does."""
+    ships = [shipped_training(training["env"], variant) for variant in ("", "_plus")] if training else []
+    return next((shipped[1] for shipped in ships if shipped and shipped[0] == training), 0)
+
+
 def comparable(
-    rows: Iterable[dict[str, str]], episodes: int = 50, seed: int = 90_000, training_seed: int = 0
+    rows: Iterable[dict[str, str]], episodes: int = 50, seed: int = 90_000, training_seed: int | None = None
 ) -> list[dict[str, Any]]:
     """Rows of the same episodes whose planner is today's, with the ``line`` that their training belongs to.
 
-    All are of one training seed: a line through several would mix policies.
+    Those of a training are of one training seed, for a line through several would mix policies: ``training_seed``, or
+    that of the model that ships.
     """
     found: list[tuple[Line, dict[str, Any]]] = []
     for row in rows:
-        line = line_of(training_of(row) or {})
-        same = (row["episodes"], row["seed"], row["training_seed"]) == (str(episodes), str(seed), str(training_seed))
+        training = training_of(row) or {}
+        line, of_line = line_of(training), usual_seed(training) if training_seed is None else training_seed
+        same = (row["episodes"], row["seed"], row["training_seed"]) == (str(episodes), str(seed), str(of_line))
         if line is None or not same:
             continue
         budget, proposals = int(row["budget"]), row["proposals"] == "1"
@@ -240,7 +249,9 @@ def main() -> int:
               f"minus policy {mean:+.2f} [{low:+.2f}, {high:+.2f}]  {float(row['plan_ms_median']):.0f} ms",
               flush=True)  # fmt: skip
     own = [row for row in read_results(FILE) if row["env"] == todo[0][0].env]
-    picture = draw(comparable(own, options.episodes, options.seed, todo[0][0].seed))
+    measured = todo[0][0]
+    of_line = None if measured.seed == usual_seed(measured.training) else measured.seed
+    picture = draw(comparable(own, options.episodes, options.seed, of_line))
     if picture is not None:
         print(f"picture: {picture}")
     return 0

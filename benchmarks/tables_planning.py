@@ -47,7 +47,7 @@ def _glanced(env: str, variant: str) -> dict[str, dict[str, Any]]:
     """Rows of a model that ships for a task, by column; those that were run."""
     planner, shipped = "icem" if "pick_place" in env else "mppi", shipped_training(env, variant)
     found: dict[tuple[str, str], dict[str, str]] = {}
-    for row in policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE), training_seed=shipped[1] if shipped else 0):
+    for row in policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE)):
         if row["env"] == env and shipped and training_of(row) == shipped[0] and row["budget"] in ("0", "64"):
             found[row["planner"], row["proposals"]] = row
     straight = [

@@ -16,7 +16,7 @@ def realtime_rows() -> list[dict[str, Any]]:
     found = []
     for env in suite("paper"):
         shipped = shipped_training(env, "_plus")
-        rows = policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE), training_seed=shipped[1] if shipped else 0)
+        rows = policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE))
         own = [row for row in rows if row["env"] == env and shipped and training_of(row) == shipped[0]]
         timed = [row for row in own if row["proposals"] == "1" and row.get("control_period_ms")]
         found += sorted(timed, key=lambda row: (row["planner"], int(row["budget"])))
