@@ -195,7 +195,7 @@ def _column_of_today(env: str, planner: str, budget: int, proposals: bool) -> st
 
 def usual_seed(training: Mapping[str, Any]) -> int:
     """Training seed of the model that ships with this training; 0 if none does."""
-    ships = [shipped_training(training["env"], variant) for variant in ("", "_plus")] if training else []
+    ships = [shipped_training(training["env"], variant) for variant in ("", "_plus")]
     return next((shipped[1] for shipped in ships if shipped and shipped[0] == training), 0)
 
 
@@ -210,9 +210,11 @@ def comparable(
     found: list[tuple[Line, dict[str, Any]]] = []
     for row in rows:
         training = training_of(row) or {}
-        line, of_line = line_of(training), usual_seed(training) if training_seed is None else training_seed
-        same = (row["episodes"], row["seed"], row["training_seed"]) == (str(episodes), str(seed), str(of_line))
-        if line is None or not same:
+        line = line_of(training)
+        if line is None:
+            continue
+        of_line = usual_seed(training) if training_seed is None else training_seed
+        if (row["episodes"], row["seed"], row["training_seed"]) != (str(episodes), str(seed), str(of_line)):
             continue
         budget, proposals = int(row["budget"]), row["proposals"] == "1"
         if row[COLUMN] == _column_of_today(row["env"], row["planner"], budget, proposals):

@@ -99,7 +99,7 @@ def test_every_table_says_where_its_rows_come_from():
     assert shown == ORIGINS.keys()
     found = {table.__name__: origin.found() for table, origin in ORIGINS.items()}
     assert all(one.revisions for one in found.values())
-    assert found["versus_table"].training_seeds == "0" and found["versus_table"].episode_seeds == "90000 to 90049"
+    assert found["versus_table"].training_seeds == "0 to 2" and found["versus_table"].episode_seeds == "90000 to 90049"
     assert found["learning_table"].training_seeds == "0 to 9" and not found["learning_table"].episode_seeds
     assert ranges({5, 1, 2, 3}) == "1 to 3, 5" and ranges(set()) == ""
 
