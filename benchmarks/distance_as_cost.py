@@ -1,9 +1,9 @@
 """Which cost plans? ``python -m benchmarks.distance_as_cost --env fetch_wall``.
 
-MPPI with the learned distance (along the plan, at its end, both), with the distances of the other
-methods, with the straight line, with nothing but the goal's radius and, in mazes, with true shortest
-paths, beside the policy alone: on the same episodes, for checkpoints of several training seeds. Cells
-that are already in ``results/distance_as_cost.csv`` are not run again.
+MPPI (iCEM where a line says so) with the learned distance (along the plan, at its end, both), with
+the distances of the other methods, with the straight line, with nothing but the goal's radius and, in
+mazes, with true shortest paths, beside the policy alone: on the same episodes, for checkpoints of
+several training seeds. Cells that are already in ``results/distance_as_cost.csv`` are not run again.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from benchmarks.cells import (
 )
 from benchmarks.command import read_options
 from benchmarks.curves import Line, full_line_of, is_current
-from benchmarks.planned import COLUMN, column
+from benchmarks.planned import COLUMN, column, of_budget
 from napsp import envs as tasks
 from napsp.config import preset
 from napsp.data.collect import roll
@@ -52,6 +52,9 @@ class Variant:
     method: str | None
     planner: dict[str, Any] | None
     """None: the policy alone."""
+    search: str = "mppi"
+    plans: int | None = None
+    """Simulated plans per control step; None is the number that the options give."""
 
 
 DISTANCE = {"cost": "distance", "where": "mean"}
@@ -79,6 +82,12 @@ VARIANTS: dict[str, Variant] = {
     "plus: distance, end, no policy proposals": Variant(
         "plus", {"cost": "distance", "where": "terminal", **FINE, "proposals": False}
     ),
+    "plus, iCEM of 32 plans: distance, mean, no policy proposals": Variant(
+        "plus", {**DISTANCE, "proposals": False}, "icem", 32
+    ),
+    "plus, iCEM of 32 plans: distance, end, no policy proposals": Variant(
+        "plus", {"cost": "distance", "where": "terminal", "proposals": False}, "icem", 32
+    ),
     "sparse": Variant(None, {"cost": "sparse"}),
     "shortest path, mean along the plan": Variant(None, {"cost": "shortest_path", "where": "mean"}),
     "shortest path, mean, noise down to a tenth": Variant(None, {"cost": "shortest_path", "where": "mean", **FINE}),
@@ -102,7 +111,7 @@ class CostOptions:
     seed: int = 80_000
     """First episode seed; these seeds were never used for tuning."""
     samples: int = 64
-    """Samples of the planner."""
+    """Plans per control step, of lines that have no number of their own."""
     variants: tuple[str, ...] = ()
     """Which lines; default all that the task has."""
     anywhere: bool = False
@@ -123,12 +132,17 @@ def plan_episodes(
     return [r.success for r in results], hits, float(np.median(np.concatenate([r.plan_ms for r in results])))
 
 
+def plans_of(variant: str, options: CostOptions) -> int:
+    """Simulated plans per control step of a line."""
+    return VARIANTS[variant].plans or options.samples
+
+
 def plan_config(env_name: str, variant: str, options: CostOptions) -> PlanConfig[Any] | None:
     """The planner of a cell; None for the policy alone."""
-    changes = VARIANTS[variant].planner
-    if changes is None:
+    line = VARIANTS[variant]
+    if line.planner is None:
         return None
-    return PlanConfig.of("mppi", {"env": env_name, "search.samples": options.samples, **changes})
+    return of_budget(line.search, plans_of(variant, options), {"env": env_name, **line.planner})
 
 
 def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> dict[str, Any]:
@@ -171,7 +185,7 @@ def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
         if variant is None:
             continue
         sizes = (column(plan_config(row["env"], row["variant"], options)),
-                 str(options.samples), str(options.episodes), str(options.seed))  # fmt: skip
+                 str(plans_of(row["variant"], options)), str(options.episodes), str(options.seed))  # fmt: skip
         if tuple(row[n] for n in (COLUMN, "samples", "episodes", "seed")) != sizes:
             continue
         training = training_of(row)
@@ -209,7 +223,7 @@ def main() -> int:
                 "env": env_name, "variant": variant, "training_seed": training_seed,
                 "training": as_text(config.identity() if config else None),
                 COLUMN: column(plan_config(env_name, variant, options)),
-                "samples": options.samples, "episodes": options.episodes, "seed": options.seed,
+                "samples": plans_of(variant, options), "episodes": options.episodes, "seed": options.seed,
             }  # fmt: skip
             row = find(rows_of(path, options), key)
             if row is None:

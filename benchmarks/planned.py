@@ -1,4 +1,4 @@
-"""The column of a row that says how it was planned."""
+"""How a row was planned: the column that says so, and a search that simulates a number of plans."""
 
 from __future__ import annotations
 
@@ -13,3 +13,24 @@ COLUMN = "planner_config"
 def column(config: PlanConfig[Any] | None) -> str:
     """The configuration as compact JSON, what differs from the planner's defaults; empty where nothing was planned."""
     return "" if config is None else json.dumps(config.identity(), sort_keys=True, separators=(",", ":"))
+
+
+def of_budget(planner: str, budget: int, changes: dict[str, Any]) -> PlanConfig[Any]:
+    """A search that simulates about ``budget`` plans per control step, over all its refinements.
+
+    Args:
+        planner: name of the search.
+        budget: plans per control step.
+        changes: of other options of the planner.
+
+    Raises:
+        UserError: the search needs more plans.
+        ValueError: likewise.
+    """
+    search: Any = PlanConfig.of(planner).search
+    shares = sum(getattr(search, "decay", 1.0) ** -i for i in range(search.refinements))
+    samples = max(1, round(budget / shares))
+    sizes: dict[str, Any] = {"search.samples": samples}
+    if hasattr(search, "elites"):
+        sizes["search.elites"] = min(search.elites, max(2, samples // 4))
+    return PlanConfig.of(planner, {**changes, **sizes})

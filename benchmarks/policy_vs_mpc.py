@@ -30,7 +30,7 @@ from benchmarks.cells import (
 )
 from benchmarks.command import read_options
 from benchmarks.curves import Line, is_current, line_of
-from benchmarks.planned import COLUMN, column
+from benchmarks.planned import COLUMN, column, of_budget
 from benchmarks.subjects import Subject
 from benchmarks.versus_figure import PLANNERS, SMOOTHING, draw
 from mpc.motion import action_rate
@@ -91,14 +91,8 @@ def plan_config(env: str, planner: str, budget: int, proposals: bool) -> PlanCon
     if not budget:
         return None
     name, smooth, _ = planner.partition(SMOOTHING)
-    search: Any = PlanConfig.of(name).search
-    shares = sum(getattr(search, "decay", 1.0) ** -i for i in range(search.refinements))
-    samples = max(1, round(budget / shares))
-    changes = {"env": env, "search.samples": samples, "proposals": proposals, "smooth": bool(smooth)}
-    if hasattr(search, "elites"):
-        changes["search.elites"] = min(search.elites, max(2, samples // 4))
     try:
-        return PlanConfig.of(name, changes)
+        return of_budget(name, budget, {"env": env, "proposals": proposals, "smooth": bool(smooth)})
     except (UserError, ValueError) as error:
         raise UserError(f"--budgets {budget} is too small for {planner}: {error}") from None
 

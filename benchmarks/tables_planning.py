@@ -102,7 +102,7 @@ def cost_table() -> list[str]:
     lines = [
         "### Which cost plans (`python -m benchmarks.distance_as_cost --env NAME`)",
         "",
-        "MPPI, 64 samples, fresh episode seeds, success in the last step with its 95 % Wilson interval over all episodes;",
+        "MPPI with 64 samples (iCEM with 32 where the line says so), fresh episode seeds, success in the last step with its 95 % Wilson interval over all episodes;",
         "episodes of one checkpoint share its training, so read the rates per training seed as well.",
         "",
         "| task | cost | training | success | per training seed | at goal in some step | steps to goal |",
