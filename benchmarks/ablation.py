@@ -39,11 +39,11 @@ EVERYWHERE: dict[str, dict[str, Any]] = {
     "no more than was seen": {"bootstrap.bound": False},
     "outputs in steps": {"distance.unit": "episode"},
     "relative errors": {"distance.loss": "squared"},
-    "third layer": {"hidden": (256, 256)},
+    "third layer": {},
     "goals of other episodes": {"her.relabel_ratio": 0.8, "her.other_goals_ratio": 0.0},
 }
 REMOVALS: Mapping[str, Mapping[str, Any]] = {WHOLE: {}, **GRAPH, **EVERYWHERE}
-"""What is left out, and the options that do so."""
+"""What is left out, and the options that do so; how wide the layers are depends on the task."""
 OBEDIENT = ("point_maze", "fetch_wall")
 MANIPULATION = ("fetch_pick_place",)
 TASKS = (*OBEDIENT, *MANIPULATION)
@@ -58,7 +58,9 @@ def removals(env: str) -> list[str]:
 
 def without(env: str, part: str, seed: int) -> TrainConfig:
     """The configuration of plus without a part."""
-    return preset(env, "plus", usual_recipe(env), REMOVALS[part], seed=seed)
+    whole = preset(env, "plus", usual_recipe(env), seed=seed)
+    changes = {"hidden": whole.hidden[:-1]} if part == "third layer" else REMOVALS[part]
+    return preset(env, "plus", usual_recipe(env), changes, seed=seed)
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ def test_what_cannot_be_left_out_is_said(arguments, message, monkeypatch):
 WHOLE_PRESET = ablation.preset
 
 
-def tiny(env, method, recipe, changes, seed):
-    return WHOLE_PRESET(env, method, recipe, {**TINY, **changes}, seed=seed)
+def tiny(env, method, recipe, changes=None, *, seed):
+    return WHOLE_PRESET(env, method, recipe, {**TINY, **(changes or {})}, seed=seed)
 
 
 def test_runs_become_rows_of_the_table(tmp_path, monkeypatch):
@@ -40,7 +40,6 @@ def test_runs_become_rows_of_the_table(tmp_path, monkeypatch):
     monkeypatch.setattr(cells, "ROWS", tmp_path / "rows")
     monkeypatch.setattr(tables_plus, "RESULTS", tmp_path)
     monkeypatch.setattr(ablation, "preset", tiny)
-    monkeypatch.setitem(REMOVALS, "third layer", {"hidden": (8,)})  # tiny networks have two
     chosen = ["--env", "fetch_wall", "--parts", WHOLE, "third layer", "--seeds", "1"]
     monkeypatch.setattr("sys.argv", ["ablation", *chosen])
     assert ablation.main() == 0
