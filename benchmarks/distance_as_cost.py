@@ -222,6 +222,7 @@ def main() -> int:
             key = {
                 "env": env_name, "variant": variant, "training_seed": training_seed,
                 "training": as_text(config.identity() if config else None),
+                "planner": VARIANTS[variant].search if VARIANTS[variant].planner is not None else "",
                 COLUMN: column(plan_config(env_name, variant, options)),
                 "samples": plans_of(variant, options), "episodes": options.episodes, "seed": options.seed,
             }  # fmt: skip

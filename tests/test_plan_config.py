@@ -156,7 +156,7 @@ def test_published_rows_say_how_they_were_planned(file):
     rows = [row for row in read_results(ROOT / "results" / f"{file}.csv") if row[COLUMN]]
     assert rows
     for row in rows:
-        planner = row.get("planner", "mppi").removesuffix(" + smoothing")
+        planner = row["planner"].removesuffix(" + smoothing")
         config = PlanConfig.of(planner, {"env": row["env"], **json.loads(row[COLUMN])})
         assert column(config) == row[COLUMN]
 
