@@ -7,7 +7,7 @@ Trains what ``results/runs`` lacks, as ``benchmarks.sweep`` does, and in mazes m
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,23 +27,24 @@ from napsp.storage.lock import BusyError
 from napsp.storage.revision import git_revision
 
 WHOLE = "nothing"
-GRAPH: dict[str, dict[str, Any]] = {
+Change = Mapping[str, Any] | Callable[[TrainConfig], Mapping[str, Any]]
+GRAPH: dict[str, Change] = {
     "shortest paths and explorers": {"graph.every": 0},
     "explorers": {"explore.explorers": 0.0},
     "three lattices": {"graph.n_lattices": 1},
 }
 """Of tasks that have a graph."""
-EVERYWHERE: dict[str, dict[str, Any]] = {
+EVERYWHERE: dict[str, Change] = {
     "lasting arrivals": {"bootstrap.stay": 0.0},
     "the larger of two": {"bootstrap.pessimism": "mean"},
     "no more than was seen": {"bootstrap.bound": False},
     "outputs in steps": {"distance.unit": "episode"},
     "relative errors": {"distance.loss": "squared"},
-    "third layer": {},
+    "third layer": lambda whole: {"hidden": whole.hidden[:-1]},
     "goals of other episodes": {"her.relabel_ratio": 0.8, "her.other_goals_ratio": 0.0},
 }
-REMOVALS: Mapping[str, Mapping[str, Any]] = {WHOLE: {}, **GRAPH, **EVERYWHERE}
-"""What is left out, and the options that do so; how wide the layers are depends on the task."""
+REMOVALS: Mapping[str, Change] = {WHOLE: {}, **GRAPH, **EVERYWHERE}
+"""What is left out, and the options that do so, of plus as it is where they depend on it."""
 OBEDIENT = ("point_maze", "fetch_wall")
 MANIPULATION = ("fetch_pick_place",)
 TASKS = (*OBEDIENT, *MANIPULATION)
@@ -59,7 +60,8 @@ def removals(env: str) -> list[str]:
 def without(env: str, part: str, seed: int) -> TrainConfig:
     """The configuration of plus without a part."""
     whole = preset(env, "plus", usual_recipe(env), seed=seed)
-    changes = {"hidden": whole.hidden[:-1]} if part == "third layer" else REMOVALS[part]
+    change = REMOVALS[part]
+    changes = change(whole) if callable(change) else change
     return preset(env, "plus", usual_recipe(env), changes, seed=seed)
 
 

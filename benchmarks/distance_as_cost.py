@@ -137,6 +137,11 @@ def plans_of(variant: str, options: CostOptions) -> int:
     return VARIANTS[variant].plans or options.samples
 
 
+def search_of(variant: str) -> str:
+    """Column of a row: name of the search, empty for the policy alone."""
+    return VARIANTS[variant].search if VARIANTS[variant].planner is not None else ""
+
+
 def plan_config(env_name: str, variant: str, options: CostOptions) -> PlanConfig[Any] | None:
     """The planner of a cell; None for the policy alone."""
     line = VARIANTS[variant]
@@ -184,9 +189,9 @@ def comparable(rows: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
         variant, options = VARIANTS.get(row["variant"]), CostOptions(env=row["env"])
         if variant is None:
             continue
-        sizes = (column(plan_config(row["env"], row["variant"], options)),
+        sizes = (search_of(row["variant"]), column(plan_config(row["env"], row["variant"], options)),
                  str(plans_of(row["variant"], options)), str(options.episodes), str(options.seed))  # fmt: skip
-        if tuple(row[n] for n in (COLUMN, "samples", "episodes", "seed")) != sizes:
+        if tuple(row[n] for n in ("planner", COLUMN, "samples", "episodes", "seed")) != sizes:
             continue
         training = training_of(row)
         line = full_line_of(training) if training else None
@@ -222,7 +227,7 @@ def main() -> int:
             key = {
                 "env": env_name, "variant": variant, "training_seed": training_seed,
                 "training": as_text(config.identity() if config else None),
-                "planner": VARIANTS[variant].search if VARIANTS[variant].planner is not None else "",
+                "planner": search_of(variant),
                 COLUMN: column(plan_config(env_name, variant, options)),
                 "samples": plans_of(variant, options), "episodes": options.episodes, "seed": options.seed,
             }  # fmt: skip
@@ -236,7 +241,7 @@ def main() -> int:
             rate, n = float(row["success_rate"]), options.episodes
             interval = describe(rate, wilson_interval(round(rate * n), n))
             steps = f"{float(row['mean_steps_to_goal']):.1f}" if row["mean_steps_to_goal"] else "-"
-            print(f"{variant:50s} training seed {training_seed!s:>2s}  success {interval}  any "
+            print(f"{variant:62s} training seed {training_seed!s:>2s}  success {interval}  any "
                   f"{float(row['any_success_rate']):.2f}  steps {steps:>5s}  {float(row['plan_ms_median']):.0f} ms",
                   flush=True)  # fmt: skip
     return 0

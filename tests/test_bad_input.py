@@ -49,7 +49,7 @@ from napsp.storage.shipped import shipped_model
         (["benchmarks.policy_vs_mpc", "--training-episodes", "0"], "--training-episodes is 0"),
         (["benchmarks.minutes", "--minutes", "nan"], "--minutes is nan; it must be more than 0"),
         (["benchmarks.minutes", "--env", "FetchPush-v4"], "there are no published settings for FetchPush-v4"),
-        (["benchmarks.policy_vs_mpc", "--budgets", "8", "2"], "--budgets 2 is too small for mppi: --samples is 2"),
+        (["benchmarks.policy_vs_mpc", "--budgets", "8", "2"], "a budget of 2 is too small for mppi: --samples is 2"),
         (["napsp.train", "--env", "point_maze", "--explore.held-starts", "0.5"], "point_maze has no box to hold"),
         (["napsp.train", "--her.other-goals-ratio", "0.5"], "exceed 1 together"),
         (["napsp.train", "--batch-size", "0"], "batch_size is 0; it must lie between 1"),

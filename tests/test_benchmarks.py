@@ -119,7 +119,7 @@ def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
      ["planner_config", "training", "training_seed", "threads", "episodes", "seed", "variant"]),
     (policy_vs_mpc, "policy_vs_mpc.csv", ["planner_config", "training", "training_seed", "episodes", "seed"]),
     (distance_as_cost, "distance_as_cost.csv",
-     ["planner_config", "training", "samples", "episodes", "seed", "variant"]),
+     ["planner", "planner_config", "training", "samples", "episodes", "seed", "variant"]),
 ])  # fmt: skip
 def test_tables_leave_out_rows_of_other_settings(module, file, changes):
     rows = cells.read_results(ROOT / "results" / file)
