@@ -59,6 +59,7 @@ class Variant:
 
 DISTANCE = {"cost": "distance", "where": "mean"}
 FINE = {"search.finest": 0.1}
+GREEDY = {"proposals": False, "distance.greedy_proposals": True}
 VARIANTS: dict[str, Variant] = {
     "distance, mean along the plan": Variant("ours", DISTANCE),
     "euclidean, mean along the plan": Variant(None, {"cost": "euclidean", "where": "mean"}),
@@ -66,9 +67,7 @@ VARIANTS: dict[str, Variant] = {
     "distance, end of the plan": Variant("ours", {"cost": "distance", "where": "terminal"}),
     "distance, mean and end": Variant("ours", {"cost": "distance", "where": "both"}),
     "distance, mean, no policy proposals": Variant("ours", {**DISTANCE, "proposals": False}),
-    "distance, mean, greedy proposals instead of the policy's": Variant(
-        "ours", {**DISTANCE, "proposals": False, "distance.greedy_proposals": True}
-    ),
+    "distance, mean, greedy proposals instead of the policy's": Variant("ours", {**DISTANCE, **GREEDY}),
     "distance, end, no policy proposals": Variant(
         "ours", {"cost": "distance", "where": "terminal", "proposals": False}
     ),
@@ -87,6 +86,12 @@ VARIANTS: dict[str, Variant] = {
     ),
     "plus, iCEM of 32 plans: distance, end, no policy proposals": Variant(
         "plus", {"cost": "distance", "where": "terminal", "proposals": False}, "icem", 32
+    ),
+    "plus, iCEM of 32 plans: distance, mean, greedy proposals instead of the policy's": Variant(
+        "plus", {**DISTANCE, **GREEDY}, "icem", 32
+    ),
+    "plus, iCEM of 32 plans: distance, end, greedy proposals instead of the policy's": Variant(
+        "plus", {"cost": "distance", "where": "terminal", **GREEDY}, "icem", 32
     ),
     "sparse": Variant(None, {"cost": "sparse"}),
     "shortest path, mean along the plan": Variant(None, {"cost": "shortest_path", "where": "mean"}),
@@ -241,7 +246,7 @@ def main() -> int:
             rate, n = float(row["success_rate"]), options.episodes
             interval = describe(rate, wilson_interval(round(rate * n), n))
             steps = f"{float(row['mean_steps_to_goal']):.1f}" if row["mean_steps_to_goal"] else "-"
-            print(f"{variant:62s} training seed {training_seed!s:>2s}  success {interval}  any "
+            print(f"{variant:80s} training seed {training_seed!s:>2s}  success {interval}  any "
                   f"{float(row['any_success_rate']):.2f}  steps {steps:>5s}  {float(row['plan_ms_median']):.0f} ms",
                   flush=True)  # fmt: skip
     return 0
