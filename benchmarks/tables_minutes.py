@@ -32,7 +32,7 @@ def minutes_table() -> list[str]:
     for row in rows:
         found = row["reached"] == "1"
         episodes = row["episodes"] if found else f"never in {row['episodes']} ({float(row['success_rate']):.2f})"
-        spent = f"{float(row['minutes']):.1f}" if found else f"given up after {float(row['minutes']):.0f}"
+        spent = f"{float(row['minutes']):.2f}" if found else f"given up after {float(row['minutes']):.0f}"
         lines.append(f"| {row['env']} | {row['method']} | {row['seed']} | {episodes} | {spent} |")
     missing = [env for env in TASKS if env not in {row["env"] for row in rows}]
     return lines + [f"| {env} | not run | | | |" for env in missing]
