@@ -58,7 +58,8 @@ class Variant:
 
 
 DISTANCE = {"cost": "distance", "where": "mean"}
-FINE = {"search.finest": 0.1}
+COARSE, FINE = {"search.finest": 1.0}, {"search.finest": 0.1}
+"""MPPI's noise: of one size, as in all lines that do not say otherwise, or shrinking from sample to sample."""
 GREEDY = {"proposals": False, "distance.greedy_proposals": True}
 VARIANTS: dict[str, Variant] = {
     "distance, mean along the plan": Variant("ours", DISTANCE),
@@ -152,7 +153,8 @@ def plan_config(env_name: str, variant: str, options: CostOptions) -> PlanConfig
     line = VARIANTS[variant]
     if line.planner is None:
         return None
-    return of_budget(line.search, plans_of(variant, options), {"env": env_name, **line.planner})
+    noise = COARSE if line.search == "mppi" else {}
+    return of_budget(line.search, plans_of(variant, options), {"env": env_name, **noise, **line.planner})
 
 
 def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: CostOptions) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class RecordedPlanner:
 
     def __init__(self, env: str, samples: int, horizon: int, threads: int | None) -> None:
         changes = {"env": env, "cost": "euclidean", "horizon": horizon}
-        search = {"search.samples": samples, "search.noise_correlation": 0.0}
+        search = {"search.samples": samples, "search.noise_correlation": 0.0, "search.finest": 1.0}  # as its peers
         self.session = Session.open(PlanConfig.of("mppi", changes | search), RunOptions(threads=threads))
         self.world, self.engine = self.session.env.unwrapped, self.session.controller.engine
         self.actions, self.action = np.empty(0), np.empty(0)

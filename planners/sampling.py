@@ -40,6 +40,15 @@ def correlated_noise(rng: np.random.Generator, shape: tuple[int, int, int], corr
     return noise
 
 
+def scales(n: int, largest: float, finest: float | None) -> np.ndarray:
+    """Standard deviations ``(N, 1, 1)`` of N samples: from ``largest`` to the share ``finest`` of it, evenly in ratio.
+
+    None is all of one size. Where goals are small a plan holds one only if some samples are near the present plan:
+    with noise of one size none stays at the goal for a whole horizon.
+    """
+    return (largest * (finest or 1.0) ** np.linspace(0.0, 1.0, n))[:, None, None]
+
+
 def coloured_noise(rng: np.random.Generator, shape: tuple[int, int, int], exponent: float) -> np.ndarray:
     """Unit-variance Gaussian noise ``(N, K, U)`` whose power falls as 1 / frequency^exponent along K.
 

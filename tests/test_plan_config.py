@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import napsp
+import planners
 from benchmarks.cells import read_results
 from benchmarks.planned import COLUMN, column
 from mpc.smoothing.config import SmoothingConfig
@@ -31,7 +33,8 @@ def test_nothing_said_is_the_defaults(planner):
     assert config == PlanConfig.of(planner) and circumstances == RunOptions()
     assert config.search == SEARCHES[planner].config()
     assert config.identity() == {"horizon": 5}, "of the task"
-    assert config.resolved() == dataclasses.replace(config, horizon=5, smooth=config.resolved().smooth)
+    resolved = config.resolved()
+    assert resolved == dataclasses.replace(config, search=resolved.search, horizon=5, smooth=resolved.smooth)
 
 
 @pytest.mark.parametrize(("planner", "changes"), [
@@ -41,6 +44,8 @@ def test_nothing_said_is_the_defaults(planner):
     ("icem", {"proposals": False, "distance.greedy_proposals": True, "low_pass": 0.5}),
     ("smooth", {"search.start": "zero", "smooth.rounds": 1}),
     ("smooth", {"smooth": False, "horizon": 3}),
+    ("mppi", {"env": "point_maze", "search.finest": 1.0}),
+    ("predictive_sampling", {"env": "point_maze", "search.finest": 0.5}),
 ])  # fmt: skip
 def test_the_identity_is_what_was_asked_and_leads_back(planner, changes):
     config = PlanConfig.of(planner, changes)
@@ -50,6 +55,22 @@ def test_the_identity_is_what_was_asked_and_leads_back(planner, changes):
     assert PlanConfig.of(planner, identity | task).identity() == identity
     said, _ = parse(planner, as_flags(identity | task).split())
     assert said.identity() == identity, "a row can be typed"
+
+
+@pytest.mark.parametrize("planner", ["mppi", "predictive_sampling"])
+def test_the_mazes_noise_shrinks_and_that_is_remembered(planner):
+    maze, wall = PlanConfig.of(planner, {"env": "point_maze"}), PlanConfig.of(planner)
+    assert maze.identity() == {"horizon": 16, "search.finest": 0.1}
+    assert (maze.resolved().search.finest, wall.resolved().search.finest) == (0.1, 1.0)
+    assert wall.identity() == PlanConfig.of(planner, {"search.finest": 1.0}).identity() == {"horizon": 5}
+
+
+def test_what_a_task_decides_is_what_its_controller_searches_with():
+    for env, finest in (("point_maze", 0.1), ("fetch_reach", 1.0)):
+        controller = planners.controller("mppi", napsp.make(env), options={"cost": "euclidean"})
+        assert controller.controller.planner.config.finest == finest
+    with pytest.raises(UserError, match="does not fit"):
+        PlanConfig.of("mppi", {"search.temperature": None})
 
 
 def test_what_is_off_is_no_difference():
@@ -146,7 +167,7 @@ def test_a_search_of_ones_own_is_a_file_and_a_line(tmp_path, monkeypatch, capsys
     assert Timid.tried == 3 * 8 and "timid on point_maze" in capsys.readouterr().out
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["differences"] == {
-        "cost": "euclidean", "horizon": 16, "search.reach": 0.25, "search.samples": 8
+        "cost": "euclidean", "horizon": 16, "search.finest": 0.1, "search.reach": 0.25, "search.samples": 8
     }  # fmt: skip
     assert summary["config"]["search"]["reach"] == 0.25 and summary["run"]["episodes"] == 1
 

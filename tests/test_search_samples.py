@@ -96,10 +96,13 @@ def test_samples_are_centred_at_the_plan_with_the_noise_scale(kind):
     assert neighbours == pytest.approx(0.5 if "noise_correlation" in colour else 0.0, abs=0.03)
 
 
-def test_mppis_noise_shrinks_evenly_in_ratio_to_its_finest():
-    planner = search(MPPI, 1, 20_000, samples=5, noise_scale=0.2, noise_correlation=0.0, finest=0.0001)
-    spread = planner.sample(rng())[1:, 0].std(1)
+@pytest.mark.parametrize("kind", [MPPI, PredictiveSampling])
+def test_noise_shrinks_evenly_in_ratio_to_its_finest(kind):
+    sizes = {"samples": 5, "noise_scale": 0.2, "noise_correlation": 0.0}
+    spread = search(kind, 1, 20_000, **sizes, finest=0.0001).sample(rng())[1:, 0].std(1)
     np.testing.assert_allclose(spread, 0.2 * 10.0 ** -np.arange(1, 5), rtol=0.02)
+    same = search(kind, 1, 4, **sizes, finest=1.0).sample(rng())
+    np.testing.assert_array_equal(search(kind, 1, 4, **sizes).sample(rng()), same)
 
 
 def test_the_samples_that_are_not_noise_stand_in_their_places():

@@ -10,6 +10,7 @@ from napsp.envs.cards import CARDS
 from napsp.errors import UserError
 from napsp.storage.shipped import SHIPPED
 from planners.app.options import parse
+from planners.app.searches import SEARCHES
 from planners.app.session import Session
 from planners.app.studio import serve
 from planners.app.studio.camera import viewpoint
@@ -27,6 +28,15 @@ PATIENCE = 60  # seconds
 
 def chosen(*arguments, planner="mppi"):
     return Choices(*parse(planner, [*SMALL, *arguments]))
+
+
+@pytest.mark.parametrize("planner", SEARCHES)
+def test_every_task_has_a_value_for_every_option(planner):
+    choices = Choices(*parse(planner, []))
+    for task in CARDS:
+        values = choices.changed("env", task).values
+        assert [name for name, value in values.items() if value is None] == ["checkpoint"]
+        assert values.get("search.finest", CARDS[task].planning.finest) == CARDS[task].planning.finest
 
 
 @pytest.fixture

@@ -19,11 +19,13 @@ class Planning:
         horizon: H, control steps per plan.
         smoothing_multiples: how many times as heavily the smoothing layer weighs changes, one problem each.
         coarse_substeps: physics steps per control step of the coarse model; None is a quarter of the task's own.
+        finest: noise of the last sample as a share of the first's, of MPPI and predictive sampling.
     """
 
     horizon: int = 8
     smoothing_multiples: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)
     coarse_substeps: int | None = None
+    finest: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ POINT = "napsp.envs.point_maze:PointMazeEnv"
 REACH, REACH_WALL = "napsp.envs.fetch:FetchReachEnv", "napsp.envs.fetch:FetchReachWallEnv"
 PICK, PICK_WALL = "napsp.envs.fetch_pick_place:FetchPickPlaceEnv", "napsp.envs.fetch_pick_place:FetchPickPlaceWallEnv"
 
-MAZE_PLANNING = Planning(horizon=16, smoothing_multiples=(1.0,), coarse_substeps=5)
+MAZE_PLANNING = Planning(horizon=16, smoothing_multiples=(1.0,), coarse_substeps=5, finest=0.1)
 REACH_PLANNING = Planning(horizon=5, coarse_substeps=5)
 PICK_PLANNING = Planning(horizon=8, coarse_substeps=5)
 PLAIN_PICK_PLANNING = Planning(horizon=15, coarse_substeps=5)

@@ -134,16 +134,21 @@ class PlanConfig(Generic[S]):
         if model.kind == "coarse":
             model = replace(model, substeps=model.substeps or usual.coarse_substeps)
         smooth = self.smooth and self.smooth.resolved(usual.smoothing_multiples)
-        horizon = self.horizon or usual.horizon
-        return replace(self, env=canonical_name(self.env), horizon=horizon, model=model, smooth=smooth)
+        horizon, search = self.horizon or usual.horizon, self.search
+        if getattr(search, "finest", usual.finest) is None:
+            search = replace(search, finest=usual.finest)  # type: ignore[type-var]
+        return replace(self, env=canonical_name(self.env), search=search, horizon=horizon, model=model, smooth=smooth)
 
     def identity(self) -> dict[str, Any]:
         """What differs from the planner's defaults, by dotted names; planner and task stand beside it.
 
-        The task's values count as differences, so that a result remembers them when a card changes. Of an ensemble it
+        The task's values count as differences, so that a result remembers them when a card changes; noise of one size
+        does only where the task's shrinks. Of an ensemble it
         is the number that counts: paths, as that of the checkpoint, are circumstances.
         """
         own, usual = self.resolved(), PlanConfig.of(self.planner)
+        if self.usual.finest == UNKNOWN.finest and hasattr(usual.search, "finest"):
+            usual = changed(usual, {"search.finest": UNKNOWN.finest})
         switched = (own.smooth is None) != (usual.smooth is None)
         if switched:  # what an option that is off would be is no difference, nor are defaults of one that is on
             usual = replace(usual, smooth=own.smooth and SmoothingConfig())

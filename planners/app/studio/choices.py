@@ -53,6 +53,8 @@ class Choices:
         if name == "env":  # what was chosen for another task does not fit this one
             distance = replace(plan.distance, ensemble=())
             plan = replace(plan, env=value, goal=None, horizon=None, spline=SplineConfig(), distance=distance)
+            if hasattr(plan.search, "finest"):
+                plan = changed(plan, {"search.finest": None})
             return Choices(plan, replace(run, checkpoint=None))
         if name == "planner":
             if value not in SEARCHES:
@@ -65,9 +67,9 @@ class Choices:
 
     @property
     def values(self) -> dict[str, Any]:
-        """What is chosen now, by the names of :meth:`changed`; the horizon is the task's where none was asked for."""
+        """What is chosen now, by the names of :meth:`changed`; the task's where nothing was asked for."""
         plan, run = self.plan, self.run
-        search = {f"search.{name}": value for name, value in vars(plan.search).items()}
+        search = {f"search.{name}": value for name, value in vars(plan.resolved().search).items()}
         return search | {
             "env": canonical_name(plan.env),
             "planner": plan.planner,
