@@ -5,7 +5,7 @@ model, with the same samples and horizon, at every state of a planned episode. T
 over time, so the ratios are those of total times; medians of the per-state ratios stand beside them
 (they differ where raw rollouts meet other contacts than plans do):
 
-* plan: a whole plan call (sampling, rollouts, cost with the learned d, update);
+* plan: a whole plan call (sampling with noise of one size in every task, rollouts, cost with the learned d, update);
 * replay: the very same motions handed to one ``mujoco.rollout`` call: the same physics without
   any of this package;
 * raw: ``mujoco.rollout`` with constant controls;
@@ -131,7 +131,7 @@ def clocked(job: Callable[[], object], engine: RolloutEngine) -> tuple[float, fl
 def measure_plan(options: SpeedOptions) -> dict[str, Any]:
     """Ratios of plan, replay and raw."""
     changes = {"env": options.env, "horizon": options.horizon, "proposals": options.proposals}
-    changes |= {"search.samples": options.samples, "model.kind": options.planning_model}
+    changes |= {"search.samples": options.samples, "model.kind": options.planning_model, "search.finest": 1.0}
     run = RunOptions(checkpoint=options.checkpoint, threads=options.threads)
     session = Session.open(PlanConfig.of("mppi", changes), run)
     world, controller = session.env.unwrapped, session.controller

@@ -1,7 +1,8 @@
 """Does the time of a plan grow linearly with its samples? ``python -m benchmarks.throughput --scaling``.
 
 Plans with more and more samples at the same states, straight lines fitted to the median times, and the peak memory of
-the process. Rows go to ``results/throughput_scaling.csv``, the figure to ``results/throughput_scaling_ENV.png``.
+the process. Noise is of one size in every task. Rows go to ``results/throughput_scaling.csv``, the figure to
+``results/throughput_scaling_ENV.png``.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ State = tuple[np.ndarray, dict[str, np.ndarray]]
 
 def episode_states(env: str, horizon: int, rounds: int) -> list[State]:
     """States along one episode that is planned with the straight-line cost."""
-    config = PlanConfig.of("mppi", {"env": env, "horizon": horizon, "cost": "euclidean"})
+    config = PlanConfig.of("mppi", {"env": env, "horizon": horizon, "cost": "euclidean", "search.finest": 1.0})
     session = Session.open(config, RunOptions(threads=1))
     world, states = session.env.unwrapped, []
     observation, _ = session.env.reset(seed=0)

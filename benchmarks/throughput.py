@@ -193,7 +193,7 @@ def main() -> int:
     for env in map(tasks.canonical_name, options.env):
         steps = PlanConfig.of("mppi", {"env": env}).usual.horizon
         if options.scaling:
-            config = PlanConfig.of("mppi", {"env": env, "cost": options.cost})
+            config = PlanConfig.of("mppi", {"env": env, "cost": options.cost, "search.finest": 1.0})
             sizes = options.samples or scaling.SAMPLES, options.horizon or (steps, 2 * steps)
             scaling.run(config, RunOptions(threads=options.threads), *sizes, options.rounds)
             continue

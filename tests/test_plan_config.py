@@ -1,8 +1,7 @@
 """How plans are made is one configuration: from the command line, from Python, in a row and in a folder's name."""
 
-import dataclasses
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import planners
 from benchmarks.cells import read_results
 from benchmarks.planned import COLUMN, column
 from mpc.smoothing.config import SmoothingConfig
+from napsp.envs.cards import CARDS
 from napsp.errors import UserError
 from napsp.settings import as_flags
 from planners.app import options
@@ -34,7 +34,7 @@ def test_nothing_said_is_the_defaults(planner):
     assert config.search == SEARCHES[planner].config()
     assert config.identity() == {"horizon": 5}, "of the task"
     resolved = config.resolved()
-    assert resolved == dataclasses.replace(config, search=resolved.search, horizon=5, smooth=resolved.smooth)
+    assert resolved == replace(config, search=resolved.search, horizon=5, smooth=resolved.smooth)
 
 
 @pytest.mark.parametrize(("planner", "changes"), [
@@ -63,6 +63,16 @@ def test_the_mazes_noise_shrinks_and_that_is_remembered(planner):
     assert maze.identity() == {"horizon": 16, "search.finest": 0.1}
     assert (maze.resolved().search.finest, wall.resolved().search.finest) == (0.1, 1.0)
     assert wall.identity() == PlanConfig.of(planner, {"search.finest": 1.0}).identity() == {"horizon": 5}
+
+
+def test_noise_of_another_task_changes_no_identity(monkeypatch):
+    asked = [{"env": env, "search.finest": size} for env in ("fetch_wall", "point_maze") for size in (None, 1.0, 0.1)]
+    before = [PlanConfig.of("mppi", changes).identity() for changes in asked]
+    card = CARDS["fetch_reach"]
+    monkeypatch.setitem(CARDS, "fetch_reach", replace(card, planning=replace(card.planning, finest=0.5)))
+    assert PlanConfig.of("mppi", {"env": "fetch_reach"}).identity()["search.finest"] == 0.5
+    assert PlanConfig.of("mppi", {"env": "fetch_reach", "search.finest": 1.0}).identity()["search.finest"] == 1.0
+    assert [PlanConfig.of("mppi", changes).identity() for changes in asked] == before
 
 
 def test_what_a_task_decides_is_what_its_controller_searches_with():
