@@ -16,7 +16,7 @@ import torch
 
 from benchmarks.cells import RESULTS, as_text, cell_name, published, replace_results, trained, usual_recipe
 from benchmarks.command import read_options
-from benchmarks.distance_accuracy import KEY, AccuracyOptions, figures_of, learned_steps, usual_starts
+from benchmarks.distance_accuracy import KEY, AccuracyOptions, figures_of, learned_steps, sizes_of, usual_starts
 from benchmarks.maze_probe import maze_probe
 from napsp import envs as tasks
 from napsp.config import TrainConfig, preset
@@ -88,10 +88,10 @@ def cells(options: AblationOptions) -> Iterator[TrainConfig]:
 
 def measure(config: TrainConfig) -> None:
     """Compare a trained maze distance with the exact one; the row lands beside those of the other distances."""
-    sizes = {"n_starts": usual_starts(config.env), "n_goals": AccuracyOptions.n_goals}
+    starts, goals = usual_starts(config.env), AccuracyOptions.n_goals
     model = load_model(trained(config), config.env)
-    found = figures_of(maze_probe(config.env, **sizes), learned_steps(model), np.random.default_rng(0))
-    row = {"env": config.env, **sizes, "method": config.method, "seed": config.seed,
+    found = figures_of(maze_probe(config.env, starts, goals), learned_steps(model), np.random.default_rng(0))
+    row = {"env": config.env, **sizes_of(starts, goals), "method": config.method, "seed": config.seed,
            "training": as_text(config.identity()), "revision": git_revision(),
            "trained_at": model.header["revision"]}  # fmt: skip
     replace_results(RESULTS / "distance_accuracy.csv", KEY, [row | found])

@@ -39,7 +39,7 @@ BINS = (0, 5, 10, 20, 40, np.inf)
 STRAIGHT = "straight line"
 STARTS, STARTS_LONG = 26, 4
 """In each room of a maze, and of the long one."""
-KEY = ("env", "method", "training", "seed", "n_starts", "n_goals")
+KEY = ("env", "method", "training", "seed", "n_starts", "n_goals", "lasting")
 
 Steps = Callable[[np.ndarray, np.ndarray | None, np.ndarray], np.ndarray]
 """Estimated steps ``(n,)`` for observations, actions (None: the policy's) and goals."""
@@ -62,6 +62,8 @@ class AccuracyOptions:
     where a search takes most of a minute."""
     n_goals: int = 8
     """Goals in each room for every start."""
+    lasting: int = 1
+    """Outside mazes: against the steps to arrivals that last so many control steps, see benchmarks.best_known."""
     json: Path | None = None
     """File for the figures; of several models, their medians."""
 
@@ -170,6 +172,11 @@ def usual_starts(env_name: str) -> int:
     return STARTS_LONG if env_name == "point_maze_long" else STARTS
 
 
+def sizes_of(n_starts: int | str = "", n_goals: int | str = "", lasting: int | str = "") -> dict[str, Any]:
+    """What a row says of the truth it was measured against: that of a maze, or known ways."""
+    return {"n_starts": n_starts, "n_goals": n_goals, "lasting": lasting}
+
+
 def subjects(options: AccuracyOptions, env_name: str) -> Iterator[Subject]:
     """Whom to measure."""
     if not options.methods:
@@ -189,11 +196,11 @@ def main() -> int:
     chosen = [(subject, load_model(subject.checkpoint(), env_name)) for subject in subjects(options, env_name)]
     in_maze = env_name.startswith("point_maze")
     n_starts = usual_starts(env_name) if options.n_starts is None else options.n_starts
-    probe = maze_probe(env_name, n_starts, options.n_goals) if in_maze else known_probe(env_name)
+    probe = maze_probe(env_name, n_starts, options.n_goals) if in_maze else known_probe(env_name, options.lasting)
     known = probe.steps[np.isfinite(probe.steps)]
     print(f"{env_name}: {len(known)} pairs, {known.mean():.1f} steps in the mean")
     print("method          seed  " + "  ".join(name.rjust(18) for name in SHOWN))
-    sizes = {"n_starts": n_starts if in_maze else "", "n_goals": options.n_goals if in_maze else ""}
+    sizes = sizes_of(n_starts, options.n_goals) if in_maze else sizes_of(lasting=options.lasting)
     rows, panels = [], {}
     if in_maze:
         line = straight_steps(env_name, probe)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -139,6 +140,29 @@ def test_ways_that_are_known_are_followed_in_the_environment(tmp_path, monkeypat
         best_known.known_probe("claw")
 
 
+def test_ways_to_arrivals_that_last_end_where_these_begin(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    places = np.array([0, 1, 0, 1, 1, 1])[:, None]  # passes the goal, leaves it, comes back
+    episode = SimpleNamespace(actions=np.zeros((5, 4)), achieved_goals=places, desired_goal=np.ones(1))
+    lengths = [best_known.length_of(episode, np.array_equal, lasting) for lasting in range(1, 7)]
+    assert lengths == [5, 4, 3, None, None, None]
+    asked = ["command", "--env", "fetch_reach", "--samples", "16", "--episodes", "2"]
+    for lasting in ("1", "4"):
+        monkeypatch.setattr("sys.argv", [*asked, "--lasting", lasting])
+        assert best_known.main() == 0
+    first, lasting = best_known.ways("fetch_reach"), best_known.ways("fetch_reach", 4)
+    assert all(len(way["actions"]) == way["steps"] + 3 for way in lasting.values())
+    probe = best_known.known_probe("fetch_reach", 4)
+    assert len(probe.steps) == sum(way["steps"] for way in lasting.values()) and probe.steps.min() == 1
+    assert all(lasting[seed]["steps"] >= way["steps"] for seed, way in first.items())
+    path = best_known.path_of("fetch_reach", 4)
+    path.write_text(json.dumps({seed: {**way, "actions": way["actions"][:-4]} for seed, way in lasting.items()}))
+    with pytest.raises(UserError, match="does not lead to its goal any more"):
+        best_known.known_probe("fetch_reach", 4)
+    with pytest.raises(UserError, match="best_known --env claw --lasting 4 looks for some"):
+        best_known.known_probe("claw", 4)
+
+
 def test_a_model_that_ships_is_measured_against_what_is_known(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for main, *arguments in (
@@ -158,7 +182,7 @@ def test_models_of_other_than_the_tasks_episodes_have_a_line_of_their_own(tmp_pa
     monkeypatch.setattr(tables_training, "RESULTS", tmp_path)
     whole, short = preset("point_maze", "plus"), preset("point_maze", "plus", n_episodes=300)
     trainings = ["", *(cells.as_text(config.identity()) for config in (whole, short))]
-    asked = {"env": "point_maze", "n_starts": 26, "n_goals": 8, "spearman": 0.5}
+    asked = {"env": "point_maze", "n_starts": 26, "n_goals": 8, "lasting": "", "spearman": 0.5}
     rows = [
         {**asked, "method": "plus" if training else "straight line", "training": training, "seed": seed}
         for training in trainings
