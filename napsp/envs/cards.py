@@ -100,6 +100,7 @@ PICK_TRAINING: dict[str, Any] = {
 """Pick and place: DDPG as in the paper, with amounts of work and exploration like HER's."""
 
 REACH_PLUS: dict[str, Any] = {"hidden": (64, 64, 64), "n_policy_updates": 400}
+WALL_PLUS: dict[str, Any] = {**REACH_PLUS, "batch_size": 128}
 """Measured in docs/plus.md, *Narrow networks on reach and wall*."""
 PICK_PLUS: dict[str, Any] = {"n_episodes": 4000, "episodes_per_iteration": 8, "n_policy_updates": 50}
 
@@ -162,7 +163,7 @@ CARDS: dict[str, Card] = {
         REACH_WALL,
         50,
         aliases=("fetch_reach_wall",),
-        plus=REACH_PLUS,
+        plus=WALL_PLUS,
         training={"n_episodes": 500},
         planning=REACH_PLANNING,
     ),
@@ -171,7 +172,7 @@ CARDS: dict[str, Card] = {
         REACH_WALL,
         50,
         {"wall_height": 0.4},
-        plus=REACH_PLUS,
+        plus=WALL_PLUS,
         training={"n_episodes": 1000, "evaluate.every": 100},
         planning=REACH_PLANNING,
         suite="harder",
