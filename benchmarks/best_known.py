@@ -116,6 +116,9 @@ def main() -> int:
     changes = {"env": options.env, "search.samples": options.samples}
     config = PlanConfig.of(options.planner, changes | ({"horizon": options.horizon} if options.horizon else {}))
     session = Session.open(config, RunOptions(seed=options.seed, checkpoint=options.checkpoint))
+    longest = tasks.episode_length(session.env_name)
+    if options.lasting > longest:
+        raise UserError(f"--lasting is {options.lasting}; episodes of {session.env_name} have {longest} steps")
     known, shorter = ways(session.env_name, options.lasting), 0
     before = [way["steps"] for way in known.values()]
     for seed in range(options.seed, options.seed + options.episodes):

@@ -150,6 +150,9 @@ def test_ways_to_arrivals_that_last_end_where_these_begin(tmp_path, monkeypatch)
     for lasting in ("1", "4"):
         monkeypatch.setattr("sys.argv", [*asked, "--lasting", lasting])
         assert best_known.main() == 0
+    monkeypatch.setattr("sys.argv", [*asked, "--lasting", "51"])
+    with pytest.raises(UserError, match="--lasting is 51; episodes of fetch_reach have 50 steps"):
+        best_known.main()
     first, lasting = best_known.ways("fetch_reach"), best_known.ways("fetch_reach", 4)
     assert all(len(way["actions"]) == way["steps"] + 3 for way in lasting.values())
     probe = best_known.known_probe("fetch_reach", 4)
