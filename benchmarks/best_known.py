@@ -2,13 +2,14 @@
 
 Plans every episode of a fixed set with a large budget and keeps, over all calls, the shortest way to each goal, as the
 actions that lead there (``results/best_known/TASK.json``). An upper bound of the true distance, and called so. With
-``--lasting 10`` ways end where an arrival that lasts ten control steps begins (``TASK_lasting_10.json``): a box or a
+``--hold 10`` also the shortest ways to arrivals that are held ten control steps (``TASK_hold_10.json``): a box or a
 valve at speed is past its goal again a step after it got there.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,6 @@ from napsp.errors import UserError, run_command
 from napsp.storage.files import read_json, write_json
 from napsp.storage.revision import git_revision
 from planners.app.config import PlanConfig
-from planners.app.episode import EpisodeResult
 from planners.app.options import RunOptions
 from planners.app.session import Session
 
@@ -48,30 +48,46 @@ class KnownOptions:
     """Episodes."""
     seed: int = 70_000
     """First episode seed."""
-    lasting: int = 1
-    """Control steps in succession that the goal is held after a way; 1 is the first arrival."""
+    hold: int = 1
+    """Also ways to arrivals that are held so many control steps in succession, the arriving one among them."""
 
 
-def path_of(env_name: str, lasting: int = 1) -> Path:
+def path_of(env_name: str, hold: int = 1) -> Path:
     """Where ways are kept."""
-    return FOLDER / f"{tasks.file_name(env_name)}{'' if lasting == 1 else f'_lasting_{lasting}'}.json"
+    return FOLDER / f"{tasks.file_name(env_name)}{'' if hold == 1 else f'_hold_{hold}'}.json"
 
 
-def ways(env_name: str, lasting: int = 1) -> dict[str, dict[str, Any]]:
-    """The shortest way of each episode by its seed: steps, actions ``(steps + lasting - 1, A)``, and who found it."""
-    path = path_of(env_name, lasting)
+def ways(env_name: str, hold: int = 1) -> dict[str, dict[str, Any]]:
+    """The shortest way of each episode by its seed: steps, actions ``(steps + hold - 1, A)``, and who found it."""
+    path = path_of(env_name, hold)
     return read_json(path, AGAIN) if path.is_file() else {}
 
 
-def known_probe(env_name: str, lasting: int = 1) -> Probe:
-    """Every state on the shortest ways, with the action taken there and the steps that were left to the goal.
+def check_hold(env_name: str, hold: int) -> None:
+    """Whether a goal can be held so long.
 
     Raises:
-        UserError: no ways are known for the task.
+        UserError: episodes are shorter.
     """
-    known = ways(env_name, lasting)
+    longest = tasks.episode_length(env_name)
+    if hold > longest:
+        raise UserError(f"--hold is {hold}; episodes of {env_name} have {longest} steps")
+
+
+def known_probe(env_name: str, hold: int = 1) -> Probe:
+    """Every state on the shortest ways, with the action taken there and the steps that were left to the goal.
+
+    Args:
+        env_name: task.
+        hold: control steps for which the arrivals are held; 1 is first arrivals.
+
+    Raises:
+        UserError: no ways are known for the task, one no longer leads to its goal, or episodes are shorter.
+    """
+    check_hold(env_name, hold)
+    known = ways(env_name, hold)
     if not known:
-        command = f"python -m benchmarks.best_known --env {env_name}" + (f" --lasting {lasting}" * (lasting > 1))
+        command = f"python -m benchmarks.best_known --env {env_name}" + (f" --hold {hold}" * (hold > 1))
         raise UserError(f"no ways are known for {env_name}; {command} looks for some")
     env = tasks.make(env_name)
     parts: list[tuple[np.ndarray, ...]] = []
@@ -79,9 +95,9 @@ def known_probe(env_name: str, lasting: int = 1) -> Probe:
     for seed, way in known.items():
         actions = np.array(way["actions"], np.float32)
         seen, goal = _follow(env, int(seed), actions)
-        if not all(env.unwrapped.reached(values["achieved_goal"], goal) for values in seen[-lasting:]):  # type: ignore[attr-defined]
+        if not all(env.unwrapped.reached(values["achieved_goal"], goal) for values in seen[-hold:]):  # type: ignore[attr-defined]
             raise UserError(f"the stored way of episode {seed} of {env_name} does not lead to its goal any more")
-        n = len(actions) + 1 - lasting
+        n = len(actions) + 1 - hold
         seen, actions = seen[: n + 1], actions[:n]
         rows = [values["observation"] for values in seen]
         goals = np.tile(goal, (n, 1))
@@ -103,38 +119,45 @@ def _follow(env: Any, seed: int, actions: np.ndarray) -> tuple[list[dict[str, np
     return seen, seen[0]["desired_goal"]
 
 
-def length_of(result: EpisodeResult, reached: Any, lasting: int) -> int | None:
-    """Control steps until an arrival that lasted to the episode's end, ``lasting`` of them; None if none did."""
-    n = len(result.actions) + 1 - lasting
-    held = n > 0 and all(reached(place, result.desired_goal) for place in result.achieved_goals[n:])
-    return n if held else None
+def arrival(reached: Sequence[bool], hold: int) -> int | None:
+    """Control steps until the first arrival that is held; ``reached[t]`` says whether the goal is after t steps."""
+    return next((t for t in range(1, len(reached) + 1 - hold) if all(reached[t : t + hold])), None)
 
 
 def main() -> int:
-    """Plan, compare with what is known, keep the shorter way."""
+    """Plan, compare with what is known, keep the shorter ways."""
     options = read_options(KnownOptions, "best_known")
-    changes = {"env": options.env, "search.samples": options.samples}
+    env_name = tasks.canonical_name(options.env)
+    check_hold(env_name, options.hold)
+    changes = {"env": env_name, "search.samples": options.samples}
     config = PlanConfig.of(options.planner, changes | ({"horizon": options.horizon} if options.horizon else {}))
     session = Session.open(config, RunOptions(seed=options.seed, checkpoint=options.checkpoint))
-    longest = tasks.episode_length(session.env_name)
-    if options.lasting > longest:
-        raise UserError(f"--lasting is {options.lasting}; episodes of {session.env_name} have {longest} steps")
-    known, shorter = ways(session.env_name, options.lasting), 0
-    before = [way["steps"] for way in known.values()]
+    found = {"planner": options.planner, "samples": options.samples, "horizon": session.horizon,
+             "checkpoint": str(options.checkpoint or env_name), "revision": git_revision()}  # fmt: skip
+    # The beginning of a way that holds is a way to a first arrival, so that these are never the longer ones.
+    known = {hold: ways(env_name, hold) for hold in sorted({1, options.hold})}
+    before, shorter = {hold: [way["steps"] for way in some.values()] for hold, some in known.items()}, 0
     for seed in range(options.seed, options.seed + options.episodes):
-        result, best = session.run_episode(seed, hold=options.lasting), known.get(str(seed))
-        steps = length_of(result, session.env.unwrapped.reached, options.lasting)
-        if steps is not None and (best is None or steps < best["steps"]):
-            found = {"planner": options.planner, "samples": options.samples, "horizon": session.horizon,
-                     "checkpoint": str(options.checkpoint or session.env_name), "revision": git_revision()}  # fmt: skip
-            known[str(seed)] = {"steps": steps, **found, "actions": np.asarray(result.actions, np.float32).tolist()}
-            shorter += 1
+        result = session.run_episode(seed, hold=options.hold)
+        reached = [bool(session.env.unwrapped.reached(g, result.desired_goal)) for g in result.achieved_goals]
+        for hold, some in known.items():
+            steps, best = arrival(reached, hold), some.get(str(seed))
+            if steps is not None and (best is None or steps < best["steps"]):
+                actions = np.asarray(result.actions[: steps + hold - 1], np.float32).tolist()
+                some[str(seed)] = {"steps": steps, **found, "actions": actions}
+                shorter += hold == options.hold
     session.close()
+    if not known[options.hold]:
+        raise UserError(
+            f"no episode of {env_name} held its goal {options.hold} steps; "
+            "give a smaller --hold, or another --planner or --checkpoint"
+        )
     FOLDER.mkdir(parents=True, exist_ok=True)
-    write_json(path_of(session.env_name, options.lasting), dict(sorted(known.items())))
-    after = [way["steps"] for way in known.values()]
-    print(f"{session.env_name}: {len(known)} episodes known, {shorter} shorter than before; mean steps "
-          f"{np.mean(before) if before else np.nan:.2f} -> {np.mean(after) if after else np.nan:.2f}")  # fmt: skip
+    for hold, some in known.items():
+        write_json(path_of(env_name, hold), dict(sorted(some.items())))
+    after, was = [way["steps"] for way in known[options.hold].values()], before[options.hold]
+    print(f"{env_name}: {len(after)} episodes known, {shorter} shorter than before; mean steps "
+          f"{np.mean(was) if was else np.nan:.2f} -> {np.mean(after):.2f}")  # fmt: skip
     return 0
 
 

@@ -39,7 +39,7 @@ BINS = (0, 5, 10, 20, 40, np.inf)
 STRAIGHT = "straight line"
 STARTS, STARTS_LONG = 26, 4
 """In each room of a maze, and of the long one."""
-KEY = ("env", "method", "training", "seed", "n_starts", "n_goals", "lasting")
+KEY = ("env", "method", "training", "seed", "n_starts", "n_goals", "hold")
 
 Steps = Callable[[np.ndarray, np.ndarray | None, np.ndarray], np.ndarray]
 """Estimated steps ``(n,)`` for observations, actions (None: the policy's) and goals."""
@@ -62,8 +62,8 @@ class AccuracyOptions:
     where a search takes most of a minute."""
     n_goals: int = 8
     """Goals in each room for every start."""
-    lasting: int = 1
-    """Outside mazes: against the steps to arrivals that last so many control steps, see benchmarks.best_known."""
+    hold: int = 1
+    """Outside mazes: against the steps to arrivals that are held so many control steps, see benchmarks.best_known."""
     json: Path | None = None
     """File for the figures; of several models, their medians."""
 
@@ -172,9 +172,9 @@ def usual_starts(env_name: str) -> int:
     return STARTS_LONG if env_name == "point_maze_long" else STARTS
 
 
-def sizes_of(n_starts: int | str = "", n_goals: int | str = "", lasting: int | str = "") -> dict[str, Any]:
+def sizes_of(n_starts: int | str = "", n_goals: int | str = "", hold: int | str = "") -> dict[str, Any]:
     """What a row says of the truth it was measured against: that of a maze, or known ways."""
-    return {"n_starts": n_starts, "n_goals": n_goals, "lasting": lasting}
+    return {"n_starts": n_starts, "n_goals": n_goals, "hold": hold}
 
 
 def subjects(options: AccuracyOptions, env_name: str) -> Iterator[Subject]:
@@ -195,12 +195,15 @@ def main() -> int:
     torch.set_num_threads(1)
     chosen = [(subject, load_model(subject.checkpoint(), env_name)) for subject in subjects(options, env_name)]
     in_maze = env_name.startswith("point_maze")
+    if in_maze and options.hold > 1:
+        raise UserError(f"{env_name} is measured against exact first arrivals; leave out --hold")
     n_starts = usual_starts(env_name) if options.n_starts is None else options.n_starts
-    probe = maze_probe(env_name, n_starts, options.n_goals) if in_maze else known_probe(env_name, options.lasting)
+    probe = maze_probe(env_name, n_starts, options.n_goals) if in_maze else known_probe(env_name, options.hold)
     known = probe.steps[np.isfinite(probe.steps)]
+    n_ways = "" if in_maze else int(probe.kinds["from the start"].sum())
     print(f"{env_name}: {len(known)} pairs, {known.mean():.1f} steps in the mean")
     print("method          seed  " + "  ".join(name.rjust(18) for name in SHOWN))
-    sizes = sizes_of(n_starts, options.n_goals) if in_maze else sizes_of(lasting=options.lasting)
+    sizes = sizes_of(n_starts, options.n_goals) if in_maze else sizes_of(hold=options.hold)
     rows, panels = [], {}
     if in_maze:
         line = straight_steps(env_name, probe)
@@ -216,7 +219,9 @@ def main() -> int:
                      "revision": git_revision(), "trained_at": model.header["revision"], **found})  # fmt: skip
     for row in rows:
         print(f"{row['method']:14s}  {row['seed']!s:>4s}  " + "  ".join(f"{row[name]:18.3f}" for name in SHOWN))
-    replace_results(RESULTS / "distance_accuracy.csv", KEY, [{"env": env_name, **sizes, **row} for row in rows])
+    replace_results(
+        RESULTS / "distance_accuracy.csv", KEY, [{"env": env_name, **sizes, "n_ways": n_ways, **row} for row in rows]
+    )
     if options.methods:
         wanted = [STRAIGHT, *(f"{method}, seed {options.seeds[0]}" for method in options.methods)]
         draw(RESULTS / f"distance_accuracy_{env_name}.png", {name: panels[name] for name in wanted if name in panels})

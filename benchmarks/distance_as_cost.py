@@ -58,8 +58,8 @@ class Variant:
 
 
 DISTANCE = {"cost": "distance", "where": "mean"}
-COARSE, FINE = {"search.finest": 1.0}, {"search.finest": 0.1}
-"""MPPI's noise: of one size, as in all lines that do not say otherwise, or shrinking from sample to sample."""
+ONE_SIZE, SHRINKING = {"search.finest": 1.0}, {"search.finest": 0.1}
+"""MPPI's noise, whatever the task's own: of plus it shrinks from sample to sample, of the others it is of one size."""
 GREEDY = {"proposals": False, "distance.greedy_proposals": True}
 VARIANTS: dict[str, Variant] = {
     "distance, mean along the plan": Variant("ours", DISTANCE),
@@ -77,10 +77,10 @@ VARIANTS: dict[str, Variant] = {
     "DDL distance, mean": Variant("ddl", DISTANCE),
     "DDL distance, mean, no policy proposals": Variant("ddl", {**DISTANCE, "proposals": False}),
     "plus: policy alone": Variant("plus", None),
-    "plus: distance, mean": Variant("plus", {**DISTANCE, **FINE}),
-    "plus: distance, mean, no policy proposals": Variant("plus", {**DISTANCE, **FINE, "proposals": False}),
+    "plus: distance, mean": Variant("plus", {**DISTANCE, **SHRINKING}),
+    "plus: distance, mean, no policy proposals": Variant("plus", {**DISTANCE, **SHRINKING, "proposals": False}),
     "plus: distance, end, no policy proposals": Variant(
-        "plus", {"cost": "distance", "where": "terminal", **FINE, "proposals": False}
+        "plus", {"cost": "distance", "where": "terminal", **SHRINKING, "proposals": False}
     ),
     "plus, iCEM of 32 plans: distance, mean, no policy proposals": Variant(
         "plus", {**DISTANCE, "proposals": False}, "icem", 32
@@ -96,7 +96,9 @@ VARIANTS: dict[str, Variant] = {
     ),
     "sparse": Variant(None, {"cost": "sparse"}),
     "shortest path, mean along the plan": Variant(None, {"cost": "shortest_path", "where": "mean"}),
-    "shortest path, mean, noise down to a tenth": Variant(None, {"cost": "shortest_path", "where": "mean", **FINE}),
+    "shortest path, mean, noise down to a tenth": Variant(
+        None, {"cost": "shortest_path", "where": "mean", **SHRINKING}
+    ),
 }
 
 
@@ -153,7 +155,7 @@ def plan_config(env_name: str, variant: str, options: CostOptions) -> PlanConfig
     line = VARIANTS[variant]
     if line.planner is None:
         return None
-    noise = COARSE if line.search == "mppi" else {}
+    noise = ONE_SIZE if line.search == "mppi" else {}
     return of_budget(line.search, plans_of(variant, options), {"env": env_name, **noise, **line.planner})
 
 

@@ -20,7 +20,7 @@ def glance_table() -> list[str]:
         "",
         "Success in the last step of 50 fresh episodes, 95 % Wilson interval, of the checkpoints that ship (*plus*: `TASK_plus`), one training",
         "run each. *Planner*: MPPI, for pick and place iCEM, with the learned distance, 64 plans per control step, the policy's rollout among",
-        "them; *d alone*: without that rollout; *straight line*: MPPI with that cost, on 50 other episodes. *Planner minus policy*: on the",
+        "them; *d alone*: without that rollout; *straight line*: MPPI with that cost and noise of one size, on 50 other episodes. *Planner minus policy*: on the",
         "same episodes, Newcombe's paired interval. *Steps to goal*: over the episodes that got there.",
         "",
         "| task | training | straight line | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
@@ -102,7 +102,7 @@ def cost_table() -> list[str]:
     lines = [
         "### Which cost plans (`python -m benchmarks.distance_as_cost --env NAME`)",
         "",
-        "MPPI with 64 samples (iCEM with 32 where the line says so), fresh episode seeds, success in the last step with its 95 % Wilson interval over all episodes;",
+        "MPPI with 64 samples, noise of one size (of plus: shrinking from sample to sample), or iCEM with 32 where the line says so; fresh episode seeds, success in the last step with its 95 % Wilson interval over all episodes;",
         "episodes of one checkpoint share its training, so read the rates per training seed as well.",
         "",
         "| task | cost | training | success | per training seed | at goal in some step | steps to goal |",

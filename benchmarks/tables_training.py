@@ -163,8 +163,8 @@ def accuracy_groups() -> dict[tuple[str, str], list[dict[str, str]]]:
             name = line.name if line else row["method"]
             if training and full_line_of(training) is None:
                 name += f", {training.get('n_episodes', DEFAULT.n_episodes)} episodes"
-            if row["lasting"] not in ("", "1"):
-                name += f", to arrivals that last {row['lasting']} steps"
+            if row.get("hold", "") not in ("", "1"):
+                name += f", to arrivals held {row['hold']} steps ({row['n_ways']} ways)"
             groups.setdefault((row["env"], name), []).append(row)
     return groups
 
@@ -180,8 +180,8 @@ def accuracy_table() -> list[str]:
         "*triangles violated* the share of random triples with d(x, z) > d(x, y) + d(y, z), *best action* how often the action of least",
         "d among three is a truly best one, *onwards* and *backwards* are pairs along and against the chain of rooms from the start, *last",
         "room* pairs with the room that episodes of the task never need. In other tasks the truth is an upper bound: the fewest",
-        "steps that any planner needed (`python -m benchmarks.best_known`), for states on these ways, to the first arrival or to one that",
-        "lasts (`--lasting 10`). Over training seeds: interquartile mean and 95 % bootstrap interval.",
+        "steps that any planner needed (`python -m benchmarks.best_known`), for states on these ways, to the first arrival or, where a",
+        "line says so, to one that is held. Over training seeds: interquartile mean and 95 % bootstrap interval.",
         "",
         "![Estimated over true steps of the straight line and of plus](results/distance_accuracy_point_maze.png)",
         "",

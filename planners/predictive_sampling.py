@@ -25,8 +25,8 @@ class PredictiveSamplingConfig:
     """Standard deviation of the sampled noise; controls lie in [-1, 1]."""
     finest: float | None = None
     """Noise of the last sample as a share of ``noise_scale``; the others lie between, evenly in ratio. Below 1 some
-    plans are always near the present one, which holds small goals. Default by task, its card's: 0.1 in mazes of this
-    package, 1 in all others; in a loop of your own 1."""
+    plans are always near the present one, which holds small goals. None is the task's (0.1 in mazes of this package,
+    1 in all others), and 1 in a search that is built by itself."""
     noise_correlation: float = 0.6
     """Correlation of the noise between neighbouring knots, in [0, 1)."""
 

@@ -46,7 +46,7 @@ def scales(n: int, largest: float, finest: float | None) -> np.ndarray:
     None is all of one size. Where goals are small a plan holds one only if some samples are near the present plan:
     with noise of one size none stays at the goal for a whole horizon.
     """
-    return (largest * (finest or 1.0) ** np.linspace(0.0, 1.0, n))[:, None, None]
+    return (largest * (1.0 if finest is None else finest) ** np.linspace(0.0, 1.0, n))[:, None, None]
 
 
 def coloured_noise(rng: np.random.Generator, shape: tuple[int, int, int], exponent: float) -> np.ndarray:

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -140,30 +139,56 @@ def test_ways_that_are_known_are_followed_in_the_environment(tmp_path, monkeypat
         best_known.known_probe("claw")
 
 
-def test_ways_to_arrivals_that_last_end_where_these_begin(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("hold", "steps"), [(1, 1), (2, 4), (3, 4), (4, None), (9, None)])
+def test_an_arrival_is_the_first_that_is_held(hold, steps):
+    passes_and_comes_back = [False, True, False, False, True, True, True, False]
+    assert best_known.arrival(passes_and_comes_back, hold) == steps
+    assert best_known.arrival([True] + [False] * 5, hold) is None, "a start at the goal is no arrival"
+
+
+def known(monkeypatch, *arguments):
+    """best_known with 16 samples and two episodes of fetch_reach."""
+    monkeypatch.setattr(
+        "sys.argv", ["command", "--env", "fetch_reach", "--samples", "16", "--episodes", "2", *arguments]
+    )
+    assert best_known.main() == 0
+
+
+def test_ways_to_arrivals_that_are_held_end_where_these_begin(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    places = np.array([0, 1, 0, 1, 1, 1])[:, None]  # passes the goal, leaves it, comes back
-    episode = SimpleNamespace(actions=np.zeros((5, 4)), achieved_goals=places, desired_goal=np.ones(1))
-    lengths = [best_known.length_of(episode, np.array_equal, lasting) for lasting in range(1, 7)]
-    assert lengths == [5, 4, 3, None, None, None]
-    asked = ["command", "--env", "fetch_reach", "--samples", "16", "--episodes", "2"]
-    for lasting in ("1", "4"):
-        monkeypatch.setattr("sys.argv", [*asked, "--lasting", lasting])
-        assert best_known.main() == 0
-    monkeypatch.setattr("sys.argv", [*asked, "--lasting", "51"])
-    with pytest.raises(UserError, match="--lasting is 51; episodes of fetch_reach have 50 steps"):
-        best_known.main()
-    first, lasting = best_known.ways("fetch_reach"), best_known.ways("fetch_reach", 4)
-    assert all(len(way["actions"]) == way["steps"] + 3 for way in lasting.values())
+    known(monkeypatch, "--hold", "4")
+    first, held = best_known.ways("fetch_reach"), best_known.ways("fetch_reach", 4)
+    assert all(len(way["actions"]) == way["steps"] + 3 for way in held.values()) and len(held) == 2
+    assert all(first[seed]["steps"] <= way["steps"] == len(way["actions"]) - 3 for seed, way in held.items())
+    assert all(len(way["actions"]) == way["steps"] for way in first.values())
     probe = best_known.known_probe("fetch_reach", 4)
-    assert len(probe.steps) == sum(way["steps"] for way in lasting.values()) and probe.steps.min() == 1
-    assert all(lasting[seed]["steps"] >= way["steps"] for seed, way in first.items())
+    assert len(probe.steps) == sum(way["steps"] for way in held.values()) and probe.steps.min() == 1
     path = best_known.path_of("fetch_reach", 4)
-    path.write_text(json.dumps({seed: {**way, "actions": way["actions"][:-4]} for seed, way in lasting.items()}))
+    path.write_text(json.dumps({seed: {**way, "actions": way["actions"][:-1]} for seed, way in held.items()}))
     with pytest.raises(UserError, match="does not lead to its goal any more"):
         best_known.known_probe("fetch_reach", 4)
-    with pytest.raises(UserError, match="best_known --env claw --lasting 4 looks for some"):
+    with pytest.raises(UserError, match="best_known --env claw --hold 4 looks for some"):
         best_known.known_probe("claw", 4)
+    with pytest.raises(UserError, match="--hold is 51; episodes of fetch_reach have 50 steps"):
+        known(monkeypatch, "--hold", "51")
+    with pytest.raises(UserError, match="no episode of fetch_reach held its goal 50 steps; give a smaller --hold"):
+        known(monkeypatch, "--hold", "50")
+    assert not best_known.path_of("fetch_reach", 50).exists()
+
+
+def test_rows_against_first_and_held_arrivals_stand_beside_each_other(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    known(monkeypatch, "--hold", "4")
+    for hold in ("1", "4", "4"):
+        monkeypatch.setattr("sys.argv", ["command", "--env", "fetch_reach", "--hold", hold])
+        assert distance_accuracy.main() == 0
+    rows = cells.read_results(distance_accuracy.RESULTS / "distance_accuracy.csv")
+    assert [(row["hold"], row["n_ways"]) for row in rows] == [("1", "2"), ("4", "2")]
+    names = [name for _, name in tables_training.accuracy_groups()]
+    assert len(names) == 2 and names[1].endswith(", to arrivals held 4 steps (2 ways)")
+    monkeypatch.setattr("sys.argv", ["command", "--env", "point_maze", "--hold", "4"])
+    with pytest.raises(UserError, match="leave out --hold"):
+        distance_accuracy.main()
 
 
 def test_a_model_that_ships_is_measured_against_what_is_known(tmp_path, monkeypatch, capsys):
@@ -185,7 +210,7 @@ def test_models_of_other_than_the_tasks_episodes_have_a_line_of_their_own(tmp_pa
     monkeypatch.setattr(tables_training, "RESULTS", tmp_path)
     whole, short = preset("point_maze", "plus"), preset("point_maze", "plus", n_episodes=300)
     trainings = ["", *(cells.as_text(config.identity()) for config in (whole, short))]
-    asked = {"env": "point_maze", "n_starts": 26, "n_goals": 8, "lasting": "", "spearman": 0.5}
+    asked = {"env": "point_maze", "n_starts": 26, "n_goals": 8, "spearman": 0.5}
     rows = [
         {**asked, "method": "plus" if training else "straight line", "training": training, "seed": seed}
         for training in trainings

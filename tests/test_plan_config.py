@@ -33,8 +33,9 @@ def test_nothing_said_is_the_defaults(planner):
     assert config == PlanConfig.of(planner) and circumstances == RunOptions()
     assert config.search == SEARCHES[planner].config()
     assert config.identity() == {"horizon": 5}, "of the task"
-    resolved = config.resolved()
-    assert resolved == replace(config, search=resolved.search, horizon=5, smooth=resolved.smooth)
+    sized = {"finest": 1.0} if hasattr(config.search, "finest") else {}
+    resolved = replace(config, search=replace(config.search, **sized), horizon=5, smooth=config.resolved().smooth)
+    assert config.resolved() == resolved
 
 
 @pytest.mark.parametrize(("planner", "changes"), [
@@ -79,6 +80,11 @@ def test_what_a_task_decides_is_what_its_controller_searches_with():
     for env, finest in (("point_maze", 0.1), ("fetch_reach", 1.0)):
         controller = planners.controller("mppi", napsp.make(env), options={"cost": "euclidean"})
         assert controller.controller.planner.config.finest == finest
+        controller.close()
+
+
+def test_none_fits_only_what_a_task_decides():
+    assert PlanConfig.of("mppi", {"search.finest": None}) == PlanConfig.of("mppi")
     with pytest.raises(UserError, match="does not fit"):
         PlanConfig.of("mppi", {"search.temperature": None})
 

@@ -32,7 +32,8 @@ def chosen(*arguments, planner="mppi"):
 
 @pytest.mark.parametrize("planner", SEARCHES)
 def test_every_task_has_a_value_for_every_option(planner):
-    choices = Choices(*parse(planner, []))
+    asked = ["--search.finest", "0.5"] if hasattr(SEARCHES[planner].config(), "finest") else []
+    choices = Choices(*parse(planner, asked))
     for task in CARDS:
         values = choices.changed("env", task).values
         assert [name for name, value in values.items() if value is None] == ["checkpoint"]

@@ -143,11 +143,11 @@ class PlanConfig(Generic[S]):
         """What differs from the planner's defaults, by dotted names; planner and task stand beside it.
 
         The task's values count as differences, so that a result remembers them when a card changes; noise of one size
-        does only where the task's shrinks. Of an ensemble it
-        is the number that counts: paths, as that of the checkpoint, are circumstances.
+        does only where the task's shrinks. Of an ensemble it is the number that counts: paths, as that of the
+        checkpoint, are circumstances.
         """
         own, usual = self.resolved(), PlanConfig.of(self.planner)
-        if self.usual.finest == UNKNOWN.finest and hasattr(usual.search, "finest"):
+        if self.usual.finest == UNKNOWN.finest and getattr(usual.search, "finest", 1.0) is None:
             usual = changed(usual, {"search.finest": UNKNOWN.finest})
         switched = (own.smooth is None) != (usual.smooth is None)
         if switched:  # what an option that is off would be is no difference, nor are defaults of one that is on

@@ -54,7 +54,7 @@ class Choices:
             distance = replace(plan.distance, ensemble=())
             plan = replace(plan, env=value, goal=None, horizon=None, spline=SplineConfig(), distance=distance)
             if hasattr(plan.search, "finest"):
-                plan = changed(plan, {"search.finest": None})
+                plan = changed(plan, {"search.finest": SEARCHES[plan.planner].config().finest})
             return Choices(plan, replace(run, checkpoint=None))
         if name == "planner":
             if value not in SEARCHES:
