@@ -182,6 +182,7 @@ def draw_frontier(path: Path, rows: Sequence[Any]) -> None:
             note = row["variant"].removeprefix("smoothed, ")
             axis.annotate(note, (hits, rate), (3, 3), textcoords="offset points", fontsize=6)
         axis.set(xlabel="mean steps to the goal", yscale="log")
+        axis.margins(0.4, 0.1)  # room for what the points are called
         axis.set_title(f"{env}, {planner}{'' if proposals == 'True' else ', no proposals'}", fontsize=8)
     np.atleast_1d(axes)[0].set_ylabel("mean squared action rate")
     save_figure(figure, path)
