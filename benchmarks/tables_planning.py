@@ -21,7 +21,7 @@ def glance_table() -> list[str]:
         "Success in the last step of 50 fresh episodes, 95 % Wilson interval, of the checkpoints that ship (*plus*: `TASK_plus`), one training",
         "run each. *Planner*: MPPI, for pick and place iCEM, with the learned distance, 64 plans per control step, the policy's rollout among",
         "them; *d alone*: without that rollout; *straight line*: MPPI with that cost and noise of one size, on 50 other episodes. *Planner minus policy*: on the",
-        "same episodes, Newcombe's paired interval. *Steps to goal*: over the episodes that got there.",
+        "same episodes, Newcombe's paired interval. *Steps to goal*: over episodes that got there.",
         "",
         "| task | training | straight line | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
         "|---|---|---|---|---|---|---|---|",
