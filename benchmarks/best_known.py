@@ -64,7 +64,7 @@ def ways(env_name: str, hold: int = 1) -> dict[str, dict[str, Any]]:
 
 
 def check_hold(env_name: str, hold: int) -> None:
-    """Whether a goal can be held so long.
+    """Check that a goal can be held so long.
 
     Raises:
         UserError: episodes are shorter.
