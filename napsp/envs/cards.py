@@ -99,10 +99,11 @@ PICK_TRAINING: dict[str, Any] = {
 }
 """Pick and place: DDPG as in the paper, with amounts of work and exploration like HER's."""
 
-# Measured in docs/plus.md, *Narrow networks on reach and wall*.
+# Measured in docs/plus.md, *Narrow networks*.
 REACH_PLUS: dict[str, Any] = {"hidden": (64, 64, 64), "n_policy_updates": 400}
 WALL_PLUS: dict[str, Any] = {**REACH_PLUS, "batch_size": 128}
-PICK_PLUS: dict[str, Any] = {"n_episodes": 4000, "episodes_per_iteration": 8, "n_policy_updates": 50}
+WIDE_PICK_PLUS: dict[str, Any] = {"n_episodes": 4000, "episodes_per_iteration": 8, "n_policy_updates": 50}
+PICK_PLUS: dict[str, Any] = {**WIDE_PICK_PLUS, "hidden": (128, 128, 128), "batch_size": 512, "n_policy_updates": 100}
 
 MANIPULATION = Recipe(
     {
@@ -193,7 +194,7 @@ CARDS: dict[str, Card] = {
         50,
         aliases=("fetch_pick_and_place_wall", "pick_place_wall"),
         training={**PICK_TRAINING, "counts.goal_cell": 0.1},  # goals spread over both sides; a radius is less of that
-        plus=PICK_PLUS,
+        plus=WIDE_PICK_PLUS,
         recipes=RECIPES,
         planning=PICK_PLANNING,
     ),
@@ -212,7 +213,7 @@ CARDS: dict[str, Card] = {
         50,
         {"augmented_goal": False},
         training={**PICK_TRAINING, "counts.goal_cell": 0.22},  # the box alone: random play hardly moves it
-        plus=PICK_PLUS,
+        plus=WIDE_PICK_PLUS,
         recipes=RECIPES,
         planning=PLAIN_PICK_PLANNING,
         suite="variant",
@@ -223,7 +224,7 @@ CARDS: dict[str, Card] = {
         50,
         {"augmented_goal": False},
         training=PICK_TRAINING,
-        plus=PICK_PLUS,
+        plus=WIDE_PICK_PLUS,
         recipes=RECIPES,
         planning=PLAIN_PICK_PLANNING,
         suite="variant",
