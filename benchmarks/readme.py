@@ -14,6 +14,7 @@ from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.command import read_options
 from benchmarks.tables_columns import columns_table
+from benchmarks.tables_glance import glance_table, planned_table
 from benchmarks.tables_minutes import minutes_table
 from benchmarks.tables_plus import ablation_table
 from benchmarks.tables_realtime import realtime_table
@@ -24,10 +25,10 @@ Table = Callable[[], list[str]]
 README, PAGE, GLOSSARY = Path("README.md"), Path("docs") / "results.md", Path("docs") / "glossary.md"
 START, END = "<!-- results:start -->", "<!-- results:end -->"
 TABLES: dict[Path, tuple[Table, ...]] = {
-    README: (planning.glance_table,),
+    README: (glance_table,),
     PAGE: (
-        training.learning_table, minutes_table, planning.cost_table, planning.versus_table, realtime_table,
-        training.accuracy_table, ablation_table, planning.smoothing_table, training.training_table,
+        training.learning_table, minutes_table, planned_table, planning.cost_table, planning.versus_table,
+        realtime_table, training.accuracy_table, ablation_table, planning.smoothing_table, training.training_table,
         training.coverage_table, training.gate_table, speed.speed_table, speed.throughput_table, speed.learner_table,
     ),
     GLOSSARY: (columns_table,),

@@ -6,79 +6,15 @@ from collections import defaultdict
 from typing import Any
 
 from benchmarks import distance_as_cost, policy_vs_mpc, smoothing
-from benchmarks.cells import RESULTS, read_results, shipped_training, training_of
+from benchmarks.cells import RESULTS, read_results
 from napsp.envs.cards import suite
-from napsp.statistics import describe, paired_proportions, wilson_interval
+from napsp.statistics import describe, wilson_interval
 
 HALF_TRAINED = RESULTS / "policy_vs_mpc_point_maze.png"
 
 
-def glance_table() -> list[str]:
-    """For every model that ships by its task's name: what the straight line, its policy and a planner with its d come to."""
-    lines = [
-        "### At a glance",
-        "",
-        "Success in the last step of 50 fresh episodes, 95 % Wilson interval, of the checkpoints that ship (*plus*: `TASK_plus`), one training",
-        "run each. *Planner*: MPPI, for pick and place iCEM, with the learned distance, 64 plans per control step, the policy's rollout among",
-        "them; *d alone*: without that rollout; *straight line*: MPPI with that cost and noise of one size, on 50 other episodes. *Planner minus policy*: on the",
-        "same episodes, Newcombe's paired interval. *Steps to goal*: over episodes that got there.",
-        "",
-        "| task | training | straight line | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for env in suite("paper"):
-        lines += [f"| {env} | {' | '.join(_glance(env, variant))} |" for variant in ("", "_plus")]
-    if HALF_TRAINED.is_file():
-        lines += [
-            "",
-            "A half-trained d plans long before its policy works (right):",
-            "",
-        ]
-        lines += [f"![Success of policy and planners on point_maze over budgets and training episodes]({HALF_TRAINED})"]
-    return lines
-
-
-def glance_rows() -> list[dict[str, Any]]:
-    """The rows that the lines of all tasks are made of."""
-    return [row for env in suite("paper") for variant in ("", "_plus") for row in _glanced(env, variant).values()]
-
-
-def _glanced(env: str, variant: str) -> dict[str, dict[str, Any]]:
-    """Rows of a model that ships for a task, by column; those that were run."""
-    planner, shipped = "icem" if "pick_place" in env else "mppi", shipped_training(env, variant)
-    found: dict[tuple[str, str], dict[str, str]] = {}
-    for row in policy_vs_mpc.comparable(read_results(policy_vs_mpc.FILE)):
-        if row["env"] == env and shipped and training_of(row) == shipped[0] and row["budget"] in ("0", "64"):
-            found[row["planner"], row["proposals"]] = row
-    straight = [
-        row
-        for row in cost_rows()
-        if (row["env"], row["variant"], row["starts"]) == (env, "euclidean, mean along the plan", "")
-    ]
-    columns = {"policy": ("policy", "0"), "planner": (planner, "1"), "d alone": (planner, "0")}
-    rows = {column: found[cell] for column, cell in columns.items() if cell in found}
-    return rows | ({"straight line": straight[-1]} if straight else {})
-
-
-def _glance(env: str, variant: str) -> list[str]:
-    """Cells of a task's line, of a model that ships for it."""
-    rows = _glanced(env, variant)
-    line = _success(rows["straight line"]) if "straight line" in rows else "not run"
-    policy, plans, alone = (rows.get(column) for column in ("policy", "planner", "d alone"))
-    if policy is None:
-        return [f"{'plus' if variant else 'ours'}, not run", line, "", "", "", "", ""]
-    cells = [f"{policy['line'].name}, {policy['training_episodes']} episodes", line, _success(policy)]
-    cells.append(_success(alone) if alone else "not run")
-    steps = [f"{float(row['mean_steps_to_goal'] or 'nan'):.1f}" if row else "-" for row in (policy, plans)]
-    steps_to_goal = " / ".join(steps).replace("nan", "-")
-    if plans is None:
-        return [*cells, "not run", "", steps_to_goal]
-    gain, (low, high) = paired_proportions(*([float(hit) for hit in row["successes"]] for row in (plans, policy)))
-    difference = f"{gain:+.2f} [{low:+.2f}, {high:+.2f}]"
-    return [*cells, f"{_success(plans)} {plans['planner']}", difference, steps_to_goal]
-
-
-def _success(row: dict[str, str]) -> str:
+def success(row: dict[str, str]) -> str:
+    """Success of planned episodes with its interval."""
     n, rate = int(row["episodes"]), float(row["success_rate"])
     return describe(rate, wilson_interval(round(rate * n), n))
 
@@ -153,7 +89,7 @@ def versus_table() -> list[str]:
         lines.append(
             f"| {row['env']} | {row['line'].name} | {row['training_episodes']} | {row['planner']} "
             f"| {'-' if policy else 'yes' if row['proposals'] == '1' else 'no'} | {'-' if policy else row['budget']} "
-            f"| {_success(row)} | {steps} "
+            f"| {success(row)} | {steps} "
             f"| {f'{float(smooth):.3f}' if (smooth := row.get('action_rate')) else '-'} | {float(row['plan_ms_median']):.0f}{of_cores(row)} |"
         )
     for path in sorted(set(RESULTS.glob("policy_vs_mpc_*.png")) - {HALF_TRAINED}):

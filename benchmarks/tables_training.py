@@ -110,7 +110,7 @@ def learning_table() -> list[str]:
             cells = ["not run", *[""] * 7]
             if line in runs:
                 last = [{k: in_unit(env, k, v) for k, v in run["curve"][-1].items()} for run in runs[line]]
-                summaries = [_over_seeds(last, k) for k in ("success_rate", "any_success_rate", "max_reward")]
+                summaries = [summary(last, k) for k in ("success_rate", "any_success_rate", "max_reward")]
                 first = [first_at(runs[line], rate) for rate in (0.5, 0.9, 1.0)]
                 wanted = preset(env, line.method, line.recipe).n_episodes
                 done = min(int(row["episodes"]) for row in last)
@@ -120,7 +120,7 @@ def learning_table() -> list[str]:
     return lines
 
 
-def _over_seeds(rows: list[dict[str, float]], column: str) -> str:
+def summary(rows: list[dict[str, float]], column: str) -> str:
     """Interquartile mean and interval, and how many rows had the column where not all did."""
     values = [row[column] for row in rows if column in row]
     if not values:

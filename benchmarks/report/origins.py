@@ -11,6 +11,7 @@ from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.cells import RESULTS, read_results
 from benchmarks.readme import Table
+from benchmarks.tables_glance import glance_rows, glance_table, planned_rows, planned_table
 from benchmarks.tables_minutes import minutes_rows, minutes_table
 from benchmarks.tables_plus import ablation_rows, ablation_table
 from benchmarks.tables_realtime import realtime_rows, realtime_table
@@ -41,7 +42,7 @@ class Origin:
         rows = list(self.rows())
         named = [text for row in rows for text in (row.get("revision"), row.get("trained_at")) if text]
         trained = {int(row[self.trained]) for row in rows if self.trained and row[self.trained] != ""}
-        spans = {(int(row[self.played]), int(row["episodes"])) for row in rows if self.played}
+        spans = {(int(row[self.played]), int(row["episodes"])) for row in rows if row.get(self.played)}
         played = {first + k for first, n in spans for k in range(n)}
         return Found(sorted({part for text in named for part in text.split(", ")}), ranges(trained), ranges(played))
 
@@ -74,9 +75,15 @@ def ranges(numbers: set[int]) -> str:
 
 ROWS_OF_RUNS = "results/runs"
 ORIGINS: dict[Table, Origin] = {
-    planning.glance_table: Origin(
-        "python -m benchmarks.policy_vs_mpc --env NAME; python -m benchmarks.distance_as_cost --env NAME",
-        "results/policy_vs_mpc.csv, results/distance_as_cost.csv", planning.glance_rows, "training_seed", "seed",
+    glance_table: Origin(
+        "python -m benchmarks.policy_vs_mpc --env NAME; python -m benchmarks.distance_as_cost --env NAME; "
+        "python -m benchmarks.sweep",
+        f"results/policy_vs_mpc.csv, results/distance_as_cost.csv, {ROWS_OF_RUNS}", glance_rows,
+        "training_seed", "seed",
+    ),
+    planned_table: Origin(
+        "python -m benchmarks.policy_vs_mpc --env NAME", "results/policy_vs_mpc.csv", planned_rows, "training_seed",
+        "seed",
     ),
     training.learning_table: Origin("python -m benchmarks.sweep", ROWS_OF_RUNS, training.learning_rows, "seed"),
     minutes_table: Origin(
