@@ -19,13 +19,15 @@ OURS, PLUS = "", "_plus"
 def glance_table() -> list[str]:
     """A line for each task of the paper."""
     columns = [f"{method}: {column}" for method in ("ours", "plus") for column in ("policy", "d alone", "planner")]
+    seeds = [len(runs) for env in suite("paper") if (runs := sparse_runs(env))] or [0]
     lines = [
         "### At a glance",
         "",
         "Success in the last step of 50 fresh episodes, 95 % Wilson interval, of the checkpoints that ship (`TASK`, `TASK_plus`), one training",
         "run each. *Planner*: MPPI, for pick and place iCEM, with the learned distance, 64 plans per control step, the policy's rollout among",
-        "them; *d alone*: without that rollout; *straight line*: MPPI with that cost and noise of one size, on 50 other episodes; *Sparse + HER*:",
-        "last evaluation of its policy over 3 to 10 training seeds, interquartile mean. [More of each](docs/results.md#checkpoints-that-ship-planned)",
+        "them; *d alone*: without that rollout; *straight line*: MPPI with that cost and noise of one size, on 50 other episodes. *Sparse + HER*:",
+        f"its policy's last evaluation, interquartile mean and bootstrap interval over {min(seeds)} to {max(seeds)} training seeds. Episodes of training, and what",
+        "differs from today's settings: [checkpoints that ship](docs/results.md#checkpoints-that-ship-planned).",
         "",
         f"| task | straight line | Sparse + HER | {' | '.join(columns)} |",
         "|---|---|---|---|---|---|---|---|---|",
@@ -52,7 +54,11 @@ def glance_rows() -> list[dict[str, Any]]:
     """What :func:`glance_table` is made of; of the runs of Sparse + HER their revisions and training seeds."""
     straight = [row for env in suite("paper") if (row := _straight(env))]
     runs = [run for env in suite("paper") for run in sparse_runs(env)]
-    return [*planned_rows(), *straight, *({"revision": run["revision"], "training_seed": run["seed"]} for run in runs)]
+    return [
+        *planned_rows(),
+        *straight,
+        *({"revision": run["revision"], "training_seed": run["seed"], "seed": ""} for run in runs),
+    ]
 
 
 def planned_table() -> list[str]:
@@ -60,8 +66,9 @@ def planned_table() -> list[str]:
     lines = [
         "### Checkpoints that ship, planned",
         "",
-        "As at a glance (`python -m benchmarks.policy_vs_mpc --env NAME`): success of 50 fresh episodes. *Planner minus policy*: on the same",
-        "episodes, Newcombe's paired interval. *Steps to goal*: over episodes that got there.",
+        "Success in the last step of 50 fresh episodes, 95 % Wilson interval, of policy, planner (64 plans per control step, the policy's rollout",
+        "among them) and planner without that rollout (`python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus`). *Planner minus",
+        "policy*: on the same episodes, Newcombe's paired interval. *Steps to goal*: over episodes that got there.",
         "",
         "| task | training | policy | d alone | planner | planner minus policy | steps to goal, policy / planner |",
         "|---|---|---|---|---|---|---|",

@@ -16,6 +16,8 @@ from benchmarks.report.markup import Markup, sort_key
 from benchmarks.report.origins import ORIGINS, ranges
 from benchmarks.report.sections import pictures_section, readme_pictures
 from benchmarks.tables_columns import COLUMNS
+from benchmarks.tables_glance import glance_rows, glance_table, planned_rows, planned_table, sparse_runs
+from napsp.envs.cards import suite
 from napsp.errors import UserError
 from planners.app import command
 
@@ -102,6 +104,22 @@ def test_every_table_says_where_its_rows_come_from():
     assert found["versus_table"].training_seeds == "0 to 2" and found["versus_table"].episode_seeds == "90000 to 90049"
     assert found["learning_table"].training_seeds == "0 to 9" and not found["learning_table"].episode_seeds
     assert ranges({5, 1, 2, 3}) == "1 to 3, 5" and ranges(set()) == ""
+
+
+def test_what_ships_is_a_line_for_each_task_and_says_what_was_not_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    found = {
+        line.split(" | ")[0].strip("| "): line.strip("| ").split(" | ")[1:] for line in glance_table() if "|" in line
+    }
+    rows = {row["planner"]: row for row in planned_rows() if row["env"] == "fetch_wall" and '"plus"' in row["training"]}
+    assert found["fetch_wall"][5].startswith(f"{float(rows['policy']['success_rate']):.2f} ")
+    assert found["fetch_wall"][1] == "1.00 [1.00, 1.00]" and len(sparse_runs("fetch_wall")) >= 3
+    monkeypatch.chdir(tmp_path)
+    lines = [line.strip("| ").split(" | ") for line in glance_table() if line.startswith("| ")][1:]
+    assert lines == [[env, *["not run"] * 8] for env in suite("paper")] and not glance_rows()
+    assert [line for line in planned_table() if line.startswith("| claw")] == [
+        f"| claw | {method}, not run |  |  |  |  |  |" for method in ("ours", "plus")
+    ]
 
 
 @pytest.mark.slow

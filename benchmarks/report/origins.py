@@ -42,7 +42,9 @@ class Origin:
         rows = list(self.rows())
         named = [text for row in rows for text in (row.get("revision"), row.get("trained_at")) if text]
         trained = {int(row[self.trained]) for row in rows if self.trained and row[self.trained] != ""}
-        spans = {(int(row[self.played]), int(row["episodes"])) for row in rows if row.get(self.played)}
+        spans = {
+            (int(row[self.played]), int(row["episodes"])) for row in rows if self.played and row[self.played] != ""
+        }
         played = {first + k for first, n in spans for k in range(n)}
         return Found(sorted({part for text in named for part in text.split(", ")}), ranges(trained), ranges(played))
 
@@ -76,14 +78,14 @@ def ranges(numbers: set[int]) -> str:
 ROWS_OF_RUNS = "results/runs"
 ORIGINS: dict[Table, Origin] = {
     glance_table: Origin(
-        "python -m benchmarks.policy_vs_mpc --env NAME; python -m benchmarks.distance_as_cost --env NAME; "
-        "python -m benchmarks.sweep",
+        "python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus; "
+        "python -m benchmarks.distance_as_cost --env NAME; python -m benchmarks.sweep",
         f"results/policy_vs_mpc.csv, results/distance_as_cost.csv, {ROWS_OF_RUNS}", glance_rows,
         "training_seed", "seed",
     ),
     planned_table: Origin(
-        "python -m benchmarks.policy_vs_mpc --env NAME", "results/policy_vs_mpc.csv", planned_rows, "training_seed",
-        "seed",
+        "python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus", "results/policy_vs_mpc.csv",
+        planned_rows, "training_seed", "seed",
     ),
     training.learning_table: Origin("python -m benchmarks.sweep", ROWS_OF_RUNS, training.learning_rows, "seed"),
     minutes_table: Origin(
