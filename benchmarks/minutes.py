@@ -3,8 +3,9 @@
 Methods of this package beside Stable-Baselines3's SAC + HER with the settings that RL Baselines3 Zoo publishes: those
 of FetchReach for an arm alone, those of FetchPickAndPlace, of its TQC, where there is a box. All are asked for the same
 goals after as many episodes, and a run ends at the first evaluation that holds enough of them, or when its minutes are
-up. Minutes are CPU time of one thread, so that other work beside them counts little; evaluations are part of them, the
-imports before are not.
+up: Stable-Baselines3's between evaluations, and is asked once more, for with the networks of its zoo the first may be
+more than half an hour away. Minutes are CPU time of one thread, so that other work beside them counts little;
+evaluations are part of them, the imports before are not.
 """
 
 from __future__ import annotations
@@ -87,9 +88,18 @@ class Watched:
     evaluations: list[tuple[int, float, float]] = field(default_factory=list)
     """Episodes, success, minutes."""
 
+    @property
+    def minutes(self) -> float:
+        """So far."""
+        return (time.process_time() - self.began) / 60
+
+    def is_up(self) -> bool:
+        """Whether the minutes are over."""
+        return self.minutes >= self.budget
+
     def __call__(self, episodes: float, success: float) -> bool:
         """Note an evaluation; whether to go on."""
-        minutes = (time.process_time() - self.began) / 60
+        minutes = self.minutes
         self.evaluations.append((int(episodes), success, minutes))
         print(f"{episodes:8.0f} episodes  success {success:.2f}  {minutes:6.2f} min", flush=True)
         return success < ENOUGH and minutes < self.budget
@@ -111,8 +121,10 @@ def run_own(config: TrainConfig, watch: Watch) -> None:
         )  # fmt: skip
 
 
-def run_peer(env: str, settings: Published, every: int, n_goals: int, seed: int, watch: Watch) -> Any:
-    """Stable-Baselines3's SAC + HER, evaluated after every so many episodes; its model."""
+def run_peer(
+    env: str, settings: Published, every: int, n_goals: int, seed: int, watch: Watch, is_up: Callable[[], bool]
+) -> Any:
+    """Stable-Baselines3's SAC + HER, evaluated after every so many episodes and once its minutes are up; its model."""
     from stable_baselines3 import SAC, HerReplayBuffer
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -134,10 +146,10 @@ def run_peer(env: str, settings: Published, every: int, n_goals: int, seed: int,
         rows = world.normalize_obs(rows) if settings.normalize else rows
         return model.predict(rows, deterministic=True)[0][0]
 
-    episodes, goes_on = 0, True
+    goes_on = True
     while goes_on:
-        model.learn(every * length, reset_num_timesteps=False)
-        episodes += every
+        model.learn(every * length, callback=lambda *_: not is_up(), reset_num_timesteps=False)
+        episodes = model.num_timesteps // length
         held = [holds(judged, act, EVALUATION_SEED + i, length) for i in range(n_goals)]
         goes_on = watch(episodes, float(np.mean(held)))
     judged.close()
@@ -179,7 +191,7 @@ def run_cell(env: str, method: str, options: MinutesOptions) -> dict[str, str]:
         watched = Watched(options.minutes)
         if method == PEER:
             every, n_goals = config.evaluate.every, config.evaluate.n_episodes
-            run_peer(env, Published.of(env), every, n_goals, options.seed, watched)
+            run_peer(env, Published.of(env), every, n_goals, options.seed, watched, watched.is_up)
         else:
             run_own(config, watched)
         append_result(FILE, {**asked, **watched.figures(), "library": version, **machine()})

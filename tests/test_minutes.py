@@ -57,7 +57,7 @@ def test_stable_baselines3_is_trained_with_its_settings_and_asked_after_so_many_
         return len(told) < 2
 
     monkeypatch.setattr(minutes, "holds", answered)
-    model = minutes.run_peer("fetch_reach", settings, 2, 4, 0, watch)
+    model = minutes.run_peer("fetch_reach", settings, 2, 4, 0, watch, lambda: False)
     assert told == [(2, 0.25), (4, 0.25)]
     assert model.num_timesteps == 200 and model._n_updates == 200 - 60
     assert (model.batch_size, model.gamma, model.tau, model.learning_rate) == (32, 0.95, 0.005, 1e-3)
@@ -66,6 +66,19 @@ def test_stable_baselines3_is_trained_with_its_settings_and_asked_after_so_many_
     action, observation = asked[-1]
     rows = model.get_vec_normalize_env().normalize_obs({name: value[None] for name, value in observation.items()})
     np.testing.assert_array_equal(action, model.predict(rows, deterministic=True)[0][0])
+
+
+def test_stable_baselines3_is_asked_once_more_where_its_minutes_end_between_evaluations(monkeypatch):
+    told, steps = [], itertools.count(1)
+    monkeypatch.setattr(minutes, "holds", lambda *_: True)
+
+    def watch(episodes, success):
+        told.append((episodes, success))
+        return False
+
+    settings = minutes.Published(32, (16, 16), 1000, learning_starts=60)
+    model = minutes.run_peer("fetch_reach", settings, 9, 2, 0, watch, lambda: next(steps) >= 120)
+    assert told == [(2, 1.0)] and model.num_timesteps == 120
 
 
 def test_rows_stand_in_the_table_and_are_measured_once(tmp_path, monkeypatch):
