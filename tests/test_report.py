@@ -17,6 +17,7 @@ from benchmarks.report.origins import ORIGINS, ranges
 from benchmarks.report.sections import pictures_section, readme_pictures
 from benchmarks.tables_columns import COLUMNS
 from benchmarks.tables_glance import glance_rows, glance_table, planned_rows, planned_table, sparse_runs
+from benchmarks.tables_summary import TASKS, plus_runs, summary_rows, summary_table
 from napsp.envs.cards import suite
 from napsp.errors import UserError
 from planners.app import command
@@ -120,6 +121,25 @@ def test_what_ships_is_a_line_for_each_task_and_says_what_was_not_run(tmp_path, 
     assert [line for line in planned_table() if line.startswith("| claw")] == [
         f"| claw | {method}, not run |  |  |  |  |  |" for method in ("ours", "plus")
     ]
+
+
+def test_plus_has_a_line_for_each_task_made_of_runs_distances_and_plans(tmp_path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    found = {
+        cells[0]: cells[1:] for cells in (line.strip("| ").split(" | ") for line in summary_table() if "|" in line)
+    }
+    curves = [run["curve"] for run in plus_runs("point_maze_long")]
+    last = [[row["success_rate"] for row in curve][-5:] for curve in curves]
+    assert found["point_maze_long"][0] == str(len(curves)) and all(len(rates) == 5 for rates in last)
+    assert found["point_maze_long"][2] == f"{min(sum(rates) / 5 for rates in last):.2f}"
+    assert found["fetch_wall"][3:5] == ["100 (5 of 5)", "150 (10 of 10)"]
+    assert found["fetch_pick_place"][7:9] == ["1.00, 1.00, 1.00"] * 2  # of iCEM, not of MPPI, which has rows as well
+    budget, took, period = map(int, re.match(r"(\d+) plans, (\d+) of (\d+) ms", found["fetch_wall"][9]).groups())
+    assert budget == 8 and took < period == 40
+    monkeypatch.chdir(tmp_path)
+    lines = [line.strip("|").split("|") for line in summary_table() if line.startswith("| ")][1:]
+    assert [[cell.strip() for cell in line] for line in lines] == [[env, "not run", *[""] * 9] for env in TASKS]
+    assert not summary_rows()
 
 
 @pytest.mark.slow

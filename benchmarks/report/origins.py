@@ -15,6 +15,7 @@ from benchmarks.tables_glance import glance_rows, glance_table, planned_rows, pl
 from benchmarks.tables_minutes import minutes_rows, minutes_table
 from benchmarks.tables_plus import ablation_rows, ablation_table
 from benchmarks.tables_realtime import realtime_rows, realtime_table
+from benchmarks.tables_summary import summary_rows, summary_table
 
 Rows = Callable[[], Iterable[Mapping[str, Any]]]
 
@@ -82,6 +83,13 @@ ORIGINS: dict[Table, Origin] = {
         "python -m benchmarks.distance_as_cost --env NAME; python -m benchmarks.sweep",
         f"results/policy_vs_mpc.csv, results/distance_as_cost.csv, {ROWS_OF_RUNS}", glance_rows,
         "training_seed", "seed",
+    ),
+    summary_table: Origin(
+        "python -m benchmarks.sweep; python -m benchmarks.distance_accuracy --env NAME; "
+        "python -m benchmarks.distance_as_cost --env NAME; "
+        "python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus --budgets 4 8 16",
+        f"{ROWS_OF_RUNS}, results/distance_accuracy.csv, results/distance_as_cost.csv, results/policy_vs_mpc.csv",
+        summary_rows, "training_seed", "seed",
     ),
     planned_table: Origin(
         "python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus", "results/policy_vs_mpc.csv",
