@@ -10,9 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import mujoco
-
-from mpc.rollout import available_cores
 from napsp.config import TrainConfig, identity_of, recipes
 from napsp.envs import file_name
 from napsp.errors import UserError
@@ -21,7 +18,6 @@ from napsp.storage import lock
 from napsp.storage.files import read_json, sound, write_atomically, write_json
 from napsp.storage.progress import read_rows
 from napsp.storage.record import RECORD_FILE
-from napsp.storage.revision import git_revision
 from napsp.storage.shipped import SHIPPED, shipped_model
 from napsp.train import train
 
@@ -202,11 +198,6 @@ def _replace(path: Path, key: Sequence[str], rows: Iterable[Mapping[str, Any]]) 
     writer.writerows([*kept, *added])
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, text.getvalue().encode())
-
-
-def machine() -> dict[str, Any]:
-    """Columns of a timed row that say what ran where."""
-    return {"mujoco": mujoco.__version__, "revision": git_revision(), "cores": available_cores()}
 
 
 def report(figures: Mapping[str, Any], path: Path | None) -> None:

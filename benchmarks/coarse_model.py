@@ -16,8 +16,9 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from benchmarks.cells import RESULTS, machine, replace_results
+from benchmarks.cells import RESULTS, replace_results
 from benchmarks.command import read_options
+from benchmarks.machine import machine
 from benchmarks.rollout_speed import clocked
 from mpc.rollout import Actor, RolloutEngine, Trajectories
 from napsp import envs as tasks

@@ -21,8 +21,9 @@ import numpy as np
 import torch
 
 import napsp
-from benchmarks.cells import RESULTS, append_result, as_text, machine, read_results, usual_recipe
+from benchmarks.cells import RESULTS, append_result, as_text, read_results, usual_recipe
 from benchmarks.command import read_options
+from benchmarks.machine import machine
 from napsp import envs as tasks
 from napsp.config import PAPER, TrainConfig, preset
 from napsp.envs.cards import CARDS

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cells import RESULTS, machine
+from benchmarks.cells import RESULTS
 from benchmarks.command import read_options
+from benchmarks.machine import machine
 from benchmarks.scaling import peak_mb
 from napsp.config import TrainConfig, preset
 from napsp.data.episodes import Episodes

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cells import RESULTS, machine, replace_results
+from benchmarks.cells import RESULTS, replace_results
+from benchmarks.machine import machine
 from benchmarks.rollout_speed import clocked
 from napsp import envs as tasks
 from napsp.envs.dynamics import get_state

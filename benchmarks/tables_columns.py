@@ -46,6 +46,7 @@ COLUMNS = {
     "proposals": "Whether the policy's own rollout is one of the sampled plans.",
     "policy proposal": "Whether the policy's own rollout is one of the sampled plans.",
     "minutes of a core": "CPU time of one thread until then, evaluations included.",
+    "processor": "What calculated; AMX are units for matrices of bfloat16, the numbers that trainings with boxes multiply.",
     "budget": "Simulated plans per control step, over all refinements.",
     "action rate": "Mean squared change from one action to the next; actions lie in [-1, 1].",
     "jerk": "Root mean square jerk of the end effector, m/s³; of the claw of its joints, rad/s³.",

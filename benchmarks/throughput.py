@@ -27,8 +27,9 @@ import torch
 
 from benchmarks import scaling
 from benchmarks.batch_simulator import Problem, UnavailableError
-from benchmarks.cells import RESULTS, machine, replace_results
+from benchmarks.cells import RESULTS, replace_results
 from benchmarks.command import read_options
+from benchmarks.machine import machine
 from benchmarks.peers import PEERS, Peer
 from benchmarks.raw_rollout import RawRollout
 from benchmarks.rollout_speed import Replay, clocked

@@ -7,6 +7,7 @@ import pytest
 from tiny import tiny
 
 from benchmarks import minutes, tables_minutes
+from benchmarks.machine import processor
 from napsp import envs
 from napsp.data.outcomes import evaluate
 from napsp.policy.greedy import GreedyPolicy
@@ -89,9 +90,18 @@ def test_rows_stand_in_the_table_and_are_measured_once(tmp_path, monkeypatch):
     assert row["reached"] == "0" and row["episodes"] == "8" and "8:0:" in row["evaluations"]
     assert minutes.run_cell("point_maze", "sparse", minutes.MinutesOptions(minutes=1e-7)) == row
     shown = "\n".join(tables_minutes.minutes_table())
-    assert "\n| point_maze | sparse | 0 | never in 8 (0.00) | given up after 0 |\n" in shown
+    assert f"\n| point_maze | sparse | 0 | never in 8 (0.00) | given up after 0 | {processor()} |\n" in shown
     asked = {name: row[name] for name in minutes.KEY}
     assert minutes.answer([row], asked, 1.0) is None, "who asks for more minutes gets a run of as many"
     assert minutes.answer([row | {"reached": "1"}], asked, 1.0), "one that held enough needs no more"
     assert minutes.answer([row], asked | {"settings": "{}"}) is None
     assert minutes.Published.of("fetch_pick_place").batch_size == 1024 and minutes.Published.of("fetch_wall").normalize
+
+
+def test_a_row_names_the_processor_and_its_units_for_bfloat16(tmp_path):
+    told = tmp_path / "cpuinfo"
+    told.write_text("processor\t: 0\nmodel name\t: Some CPU: 9 of it\nflags\t\t: fpu amx_bf16 avx2\n\n")
+    assert processor(told) == "Some CPU: 9 of it with AMX"
+    told.write_text("model name\t: Some CPU\nflags\t\t: fpu avx512_bf16\n")
+    assert processor(told) == "Some CPU"
+    assert processor(tmp_path / "none") and processor()
