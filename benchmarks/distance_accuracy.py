@@ -81,6 +81,7 @@ def figures_of(probe: Probe, steps: Steps, rng: np.random.Generator) -> dict[str
         inside = (truth > low) & (truth <= high)
         if inside.any():
             found[f"mean error, {low} to {high} steps"] = float((estimate - truth)[inside].mean())
+    found["slope_at_goal"] = slope(truth, estimate)
     return found | triangles(probe, steps, rng) | best_actions(probe.alternatives[use], truth, estimate)
 
 
@@ -95,6 +96,14 @@ def agreement(truth: np.ndarray, estimate: np.ndarray) -> dict[str, float]:
         "ratio_cv": float(ratio.std() / ratio.mean()),
         "mean_ratio": float(ratio.mean()),
     }
+
+
+def slope(truth: np.ndarray, estimate: np.ndarray, within: float = 5.0) -> float:
+    """How much a distance rises with a step of truth around the goal: 1 is right; NaN where all there are as far."""
+    near = truth <= within
+    if not near.any() or np.ptp(truth[near]) == 0:
+        return np.nan
+    return float(np.polyfit(truth[near], estimate[near], 1)[0])
 
 
 def triangles(probe: Probe, steps: Steps, rng: np.random.Generator, n: int = 20_000) -> dict[str, float]:
@@ -204,12 +213,10 @@ def main() -> int:
     print(f"{env_name}: {len(known)} pairs, {known.mean():.1f} steps in the mean")
     print("method          seed  " + "  ".join(name.rjust(18) for name in SHOWN))
     sizes = sizes_of(n_starts, options.n_goals) if in_maze else sizes_of(hold=options.hold)
-    rows, panels = [], {}
-    if in_maze:
-        line = straight_steps(env_name, probe)
-        panels[STRAIGHT] = (probe.steps, line(probe.observations, probe.actions, probe.goals))
-        straight = figures_of(probe, line, np.random.default_rng(0))
-        rows.append({"method": STRAIGHT, "seed": "", "training": "", "revision": git_revision(), **straight})
+    line = straight_steps(env_name, probe)
+    panels = {STRAIGHT: (probe.steps, line(probe.observations, probe.actions, probe.goals))}
+    straight = figures_of(probe, line, np.random.default_rng(0))
+    rows = [{"method": STRAIGHT, "seed": "", "training": "", "revision": git_revision(), **straight}]
     for subject, model in chosen:
         steps = learned_steps(model) if model.distance else critic_steps(subject.checkpoint(), model)
         found = figures_of(probe, steps, np.random.default_rng(0))

@@ -37,8 +37,9 @@ from napsp.data.episodes import concatenate
 from napsp.data.outcomes import outcomes
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
+from napsp.policy.greedy_distance import GreedyDistance
 from napsp.statistics import describe, wilson_interval
-from napsp.storage.checkpoint import load_model
+from napsp.storage.checkpoint import Model, load_model
 from napsp.storage.revision import git_revision
 from planners.app.config import PlanConfig
 from planners.app.options import RunOptions
@@ -51,10 +52,12 @@ class Variant:
 
     method: str | None
     planner: dict[str, Any] | None
-    """None: the policy alone."""
+    """None: the policy alone, or what d alone would do."""
     search: str = "mppi"
     plans: int | None = None
     """Simulated plans per control step; None is the number that the options give."""
+    greedy: bool = False
+    """Without a planner: the action of least d, not the policy's."""
 
 
 DISTANCE = {"cost": "distance", "where": "mean"}
@@ -65,6 +68,7 @@ VARIANTS: dict[str, Variant] = {
     "distance, mean along the plan": Variant("ours", DISTANCE),
     "euclidean, mean along the plan": Variant(None, {"cost": "euclidean", "where": "mean"}),
     "policy alone": Variant("ours", None),
+    "the action of least d, no plans": Variant("ours", None, greedy=True),
     "distance, end of the plan": Variant("ours", {"cost": "distance", "where": "terminal"}),
     "distance, mean and end": Variant("ours", {"cost": "distance", "where": "both"}),
     "distance, mean, no policy proposals": Variant("ours", {**DISTANCE, "proposals": False}),
@@ -77,6 +81,7 @@ VARIANTS: dict[str, Variant] = {
     "DDL distance, mean": Variant("ddl", DISTANCE),
     "DDL distance, mean, no policy proposals": Variant("ddl", {**DISTANCE, "proposals": False}),
     "plus: policy alone": Variant("plus", None),
+    "plus: the action of least d, no plans": Variant("plus", None, greedy=True),
     "plus: distance, mean": Variant("plus", {**DISTANCE, **SHRINKING}),
     "plus: distance, mean, no policy proposals": Variant("plus", {**DISTANCE, **SHRINKING, "proposals": False}),
     "plus: distance, end, no policy proposals": Variant(
@@ -99,6 +104,11 @@ VARIANTS: dict[str, Variant] = {
     "shortest path, mean, noise down to a tenth": Variant(
         None, {"cost": "shortest_path", "where": "mean", **SHRINKING}
     ),
+    "shortest path, mean, predictive sampling, noise down to a tenth": Variant(
+        None, {"cost": "shortest_path", "where": "mean", **SHRINKING}, "predictive_sampling"
+    ),
+    "shortest path, mean, CEM": Variant(None, {"cost": "shortest_path", "where": "mean"}, "cem"),
+    "shortest path, mean, iCEM": Variant(None, {"cost": "shortest_path", "where": "mean"}, "icem"),
 }
 
 
@@ -166,7 +176,8 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
     if config is None:
         assert checkpoint is not None
         model, env = load_model(checkpoint, env_name), tasks.make(env_name)
-        parts = [roll([env], GreedyPolicy(model.policy), [s], model.config.episode_length, [reset]) for s in seeds]
+        act = GreedyPolicy(model.policy) if not VARIANTS[variant].greedy else greedy_distance(model)
+        parts = [roll([env], act, [s], model.config.episode_length, [reset]) for s in seeds]
         result = outcomes(env, concatenate(parts))
         success, hits = result.reached[:, -1].tolist(), result.first_hits[~np.isnan(result.first_hits)].tolist()
         milliseconds = 0.0
@@ -180,6 +191,12 @@ def run_cell(env_name: str, variant: str, checkpoint: Path | None, options: Cost
         "mean_steps_to_goal": float(np.mean(hits)) if hits else "",
         "plan_ms_median": milliseconds,
     }
+
+
+def greedy_distance(model: Model) -> GreedyDistance:
+    """What follows d downhill, without plans."""
+    assert model.distance is not None
+    return GreedyDistance(model.distance, model.header["sizes"][1])
 
 
 def rows_of(path: Path, options: CostOptions) -> list[dict[str, str]]:

@@ -23,7 +23,7 @@ import torch
 import napsp
 from benchmarks.cells import RESULTS, append_result, as_text, read_results, usual_recipe
 from benchmarks.command import read_options
-from benchmarks.machine import machine
+from benchmarks.machine import machine, processor
 from napsp import envs as tasks
 from napsp.config import PAPER, TrainConfig, preset
 from napsp.envs.cards import CARDS
@@ -35,7 +35,7 @@ PEER = "stable_baselines3"
 METHODS = ("plus", "sparse", "ours", PEER)
 ENOUGH = 0.9
 UNBOUNDED = 1_000_000  # episodes: a run is given up by its minutes
-KEY = ("env", "method", "seed", "settings")
+KEY = ("env", "method", "seed", "settings", "processor")
 Watch = Callable[[float, float], bool]
 """Told episodes and success of each evaluation; False ends the run."""
 
@@ -166,17 +166,18 @@ def holds(env: Any, act: Callable[[dict[str, np.ndarray]], np.ndarray], seed: in
     return bool(info["is_success"])
 
 
-def question(env: str, method: str, seed: int) -> dict[str, Any]:
-    """What a row answers: task, method, seed, and today's settings with what is asked how often."""
+def question(env: str, method: str, seed: int, where: str | None = None) -> dict[str, Any]:
+    """What a row answers: task, method, seed, today's settings, what is asked how often, and the processor."""
     config = preset(env, "plus" if method == PEER else method, usual_recipe(env))
     settings = asdict(Published.of(env)) if method == PEER else config.identity()
     asked = {"every": config.evaluate.every, "n_goals": config.evaluate.n_episodes, "enough": ENOUGH}
-    return {"env": env, "method": method, "seed": seed, "settings": as_text({**settings, **asked})}
+    return {"env": env, "method": method, "seed": seed, "settings": as_text({**settings, **asked}),
+            "processor": processor() if where is None else where}  # fmt: skip
 
 
 def answer(rows: list[dict[str, str]], asked: dict[str, Any], budget: float = 0.0) -> dict[str, str] | None:
     """The row of a run that held enough, or was given up after no fewer minutes than ``budget``."""
-    own = [row for row in rows if all(row[name] == str(asked[name]) for name in KEY)]
+    own = [row for row in rows if all(row.get(name, "") == str(asked[name]) for name in KEY)]
     return next((row for row in reversed(own) if row["reached"] == "1" or float(row["budget"]) >= budget), None)
 
 

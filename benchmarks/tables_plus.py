@@ -54,6 +54,6 @@ def ablation_table() -> list[str]:
             rows = [measured.get((as_text(identity), str(run["seed"]))) for run in runs]
             for name in ("spearman", "ratio_cv"):
                 values = [float(row[name]) for row in rows if row]
-                cells.append(describe(*interquartile_mean(values)) if values else "-")
+                cells.append(describe(*interquartile_mean(values), 3 if name == "spearman" else 2) if values else "-")
             lines.append(f"| {env} | {part} | {len(runs)} | {' | '.join(cells)} |")
     return lines

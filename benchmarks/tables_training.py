@@ -122,18 +122,21 @@ def learning_table() -> list[str]:
 
 def summary(rows: list[dict[str, float]], column: str) -> str:
     """Interquartile mean and interval, and how many rows had the column where not all did."""
-    values = [row[column] for row in rows if column in row]
+    return over_seeds([row[column] for row in rows if column in row], len(rows))
+
+
+def over_seeds(values: list[float], wanted: int, digits: int = 2) -> str:
+    """Interquartile mean and interval, and how many values there are where that is fewer than wanted."""
     if not values:
         return "-"
-    return describe(*interquartile_mean(values)) + (f" ({len(values)} seeds)" if len(values) < len(rows) else "")
+    few = f" ({len(values)} seed{'s' * (len(values) > 1)})" if len(values) < wanted else ""
+    return describe(*interquartile_mean(values), digits) + few
 
 
 def first_at(runs: list[dict[str, Any]], rate: float) -> str:
     """Median over seeds of the episode at which success first came to a rate, and how many seeds got there."""
     reached = [[row["episodes"] for row in run["curve"] if row["success_rate"] >= rate] for run in runs]
     first = [episodes[0] if episodes else np.inf for episodes in reached]
-    if np.isinf(first).all():
-        return "never"
     median = np.median(first)  # half of an odd pair is never
     return f"{f'{median:.0f}' if np.isfinite(median) else 'never'} ({np.isfinite(first).sum()} of {len(runs)})"
 
@@ -145,7 +148,9 @@ ACCURACY = {
     "triangle_rate": "triangles violated",
     "triangle_rate_step": "by a step",
     "distance_at_goal": "d at the goal",
+    "slope_at_goal": "slope around it",
     "best_action_rate": "best action",
+    "best_action_rate_by_chance": "by chance",
     "spearman, onwards": "Spearman, onwards",
     "spearman, backwards": "backwards",
     "spearman, last room": "last room",
@@ -177,8 +182,8 @@ def accuracy_table() -> list[str]:
         "In mazes d(s, a, g) for states at rest and goals anywhere, balanced over the rooms, and uniform actions, against exact",
         "shortest-path steps over the real dynamics (breadth-first search with MuJoCo steps as edges, 1 % above what cells half as large",
         "find; in the long maze from 16 starts, 2 %). *Ratio* is d over the truth,",
-        "*triangles violated* the share of random triples with d(x, z) > d(x, y) + d(y, z), *best action* how often the action of least",
-        "d among three is a truly best one, *onwards* and *backwards* are pairs along and against the chain of rooms from the start, *last",
+        "*triangles violated* the share of random triples with d(x, z) > d(x, y) + d(y, z), *slope* what d rises by with a step of truth",
+        "within five of the goal, *best action* how often the action of least d among three is a truly best one, *onwards* and *backwards* are pairs along and against the chain of rooms from the start, *last",
         "room* pairs with the room that episodes of the task never need. In other tasks the truth is an upper bound: the fewest",
         "steps that any planner needed (`python -m benchmarks.best_known`), for states on these ways, to the first arrival or, where a",
         "line says so, to one that is held. Over training seeds: interquartile mean and 95 % bootstrap interval.",
@@ -192,7 +197,7 @@ def accuracy_table() -> list[str]:
     ]
     for (env, name), group in sorted(accuracy_groups().items()):
         values = {k: [float(row[k]) for row in group if row.get(k) not in (None, "", "nan")] for k in ACCURACY}
-        cells = [describe(*interquartile_mean(found)) if found else "-" for found in values.values()]
+        cells = [over_seeds(found, len(group), 3 if "spearman" in k else 2) for k, found in values.items()]
         lines.append(f"| {env} | {name} | {len(group) if group[0]['seed'] else '-'} | {' | '.join(cells)} |")
     return lines
 

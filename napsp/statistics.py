@@ -83,6 +83,7 @@ def paired_proportions(first: Sequence[float], second: Sequence[float]) -> tuple
     return difference, (difference - width(p - p_low, q_high - q), difference + width(p_high - p, q - q_low))
 
 
-def describe(rate: float, interval: tuple[float, float] | None) -> str:
+def describe(rate: float, interval: tuple[float, float] | None, digits: int = 2) -> str:
     """A rate and its interval as text."""
-    return f"{rate:.2f}" if interval is None else f"{rate:.2f} [{interval[0]:.2f}, {interval[1]:.2f}]"
+    low, high = (f"{end:.{digits}f}" for end in interval) if interval else ("", "")
+    return f"{rate:.{digits}f}" + (f" [{low}, {high}]" if interval else "")

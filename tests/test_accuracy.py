@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import best_known, cells, distance_accuracy, maze_probe, maze_truth, tables_training
-from benchmarks.distance_accuracy import agreement, best_actions, figures_of, triangles
+from benchmarks.distance_accuracy import agreement, best_actions, figures_of, slope, triangles
 from benchmarks.maze_probe import Probe
 from napsp import envs as tasks
 from napsp.config import preset
@@ -34,11 +34,18 @@ def test_the_truth_scores_full_marks_and_twice_the_truth_all_but_the_ratio():
     found = figures_of(line(), exact, np.random.default_rng(0))
     assert (found["spearman"], found["pearson"], found["mean_ratio"]) == pytest.approx((1, 1, 1))
     assert found["ratio_cv"] == pytest.approx(0, abs=1e-9) and found["best_action_rate"] == 1.0
-    assert found["triangle_rate"] == 0 and found["distance_at_goal"] == 1
+    assert found["triangle_rate"] == 0 and found["distance_at_goal"] == 1 and found["slope_at_goal"] == pytest.approx(1)
     assert all(value == pytest.approx(0) for name, value in found.items() if name.startswith("mean error"))
     twice = figures_of(line(), lambda *rows: 2 * exact(*rows), np.random.default_rng(0))
     assert twice["mean_ratio"] == pytest.approx(2) and twice["mean_ratio, right"] == pytest.approx(2)
     assert twice["mean error, 0 to 5 steps"] > 2 and twice["spearman"] == pytest.approx(1)
+    assert twice["slope_at_goal"] == pytest.approx(2)
+
+
+def test_the_slope_is_that_of_what_is_near_the_goal():
+    truth = np.array([1.0, 2, 3, 4, 5, 6, 20])
+    assert slope(truth, np.array([3.0, 3.5, 4, 4.5, 5, 90, 0])) == pytest.approx(0.5)
+    assert np.isnan(slope(truth[5:], truth[5:])) and np.isnan(slope(truth[:1], truth[:1]))
 
 
 def test_ratio_and_correlation_by_hand():
@@ -183,9 +190,12 @@ def test_rows_against_first_and_held_arrivals_stand_beside_each_other(tmp_path, 
         monkeypatch.setattr("sys.argv", ["command", "--env", "fetch_reach", "--hold", hold])
         assert distance_accuracy.main() == 0
     rows = cells.read_results(distance_accuracy.RESULTS / "distance_accuracy.csv")
-    assert [(row["hold"], row["n_ways"]) for row in rows] == [("1", "2"), ("4", "2")]
-    names = [name for _, name in tables_training.accuracy_groups()]
-    assert len(names) == 2 and names[1].endswith(", to arrivals held 4 steps (2 ways)")
+    assert [(row["hold"], row["n_ways"]) for row in rows] == [("1", "2"), ("1", "2"), ("4", "2"), ("4", "2")]
+    groups = tables_training.accuracy_groups()
+    held = ", to arrivals held 4 steps (2 ways)"
+    assert [name.removesuffix(held) for _, name in groups] == ["straight line", "ours, one key"] * 2
+    assert sum(name.endswith(held) for _, name in groups) == 2
+    assert float(rows[0]["spearman"]) > 0.5, "on an open table, the straight line is nearly the way"
     monkeypatch.setattr("sys.argv", ["command", "--env", "point_maze", "--hold", "4"])
     with pytest.raises(UserError, match="leave out --hold"):
         distance_accuracy.main()

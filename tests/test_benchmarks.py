@@ -136,8 +136,8 @@ def test_first_episode_of_a_success_rate_is_a_median_in_which_never_counts():
     assert tables_training.first_at(runs, 0.5) == "200 (3 of 3)"
     assert tables_training.first_at(runs, 0.9) == "300 (2 of 3)"
     assert tables_training.first_at(runs, 1.0) == "never (1 of 3)"
-    assert tables_training.first_at(runs[::2], 1.0) == "never"
-    assert tables_training.summary([{"max_reward": -0.5}, {}], "max_reward") == "-0.50 (1 seeds)"
+    assert tables_training.first_at(runs[::2], 1.0) == "never (0 of 2)"
+    assert tables_training.summary([{"max_reward": -0.5}, {}], "max_reward") == "-0.50 (1 seed)"
 
 
 def test_paired_proportions_equal_a_published_example_and_never_shrink_to_a_point():

@@ -90,11 +90,21 @@ def test_rows_stand_in_the_table_and_are_measured_once(tmp_path, monkeypatch):
     assert row["reached"] == "0" and row["episodes"] == "8" and "8:0:" in row["evaluations"]
     assert minutes.run_cell("point_maze", "sparse", minutes.MinutesOptions(minutes=1e-7)) == row
     shown = "\n".join(tables_minutes.minutes_table())
-    assert f"\n| point_maze | sparse | 0 | never in 8 (0.00) | given up after 0 | {processor()} |\n" in shown
+    assert (
+        f"\n| point_maze | {processor()} | sparse | 1 | never in 8 (success at most 0.00) | given up after 0 |\n"
+        in shown
+    )
+    assert "\n| claw | not run | | | | |" in shown
+    told = {"success_rate": "0.9", "reached": "1", "minutes": "2"}
+    three = [row, row | told | {"episodes": "300"}, row | told | {"episodes": "100", "minutes": "0.5"}]
+    assert tables_minutes._cells(three) == [
+        "200 (100 to 300), 1 of 3 never in 8 (success at most 0.00)", "1.25 (0.50 to 2.00), 1 of 3 given up after 0"
+    ]  # fmt: skip
     asked = {name: row[name] for name in minutes.KEY}
     assert minutes.answer([row], asked, 1.0) is None, "who asks for more minutes gets a run of as many"
     assert minutes.answer([row | {"reached": "1"}], asked, 1.0), "one that held enough needs no more"
     assert minutes.answer([row], asked | {"settings": "{}"}) is None
+    assert minutes.answer([row], asked | {"processor": "another"}) is None, "minutes of another machine do not answer"
     assert minutes.Published.of("fetch_pick_place").batch_size == 1024 and minutes.Published.of("fetch_wall").normalize
 
 

@@ -33,6 +33,14 @@ def test_lines_with_a_search_of_their_own_keep_it_and_its_plans():
                           if search else None)  # fmt: skip
 
 
+def test_d_alone_acts_without_plans_and_asks_no_policy(monkeypatch):
+    monkeypatch.setattr(distance_as_cost, "GreedyPolicy", None)
+    line, options = "plus: the action of least d, no plans", distance_as_cost.CostOptions(env="fetch_wall", episodes=2)
+    found = distance_as_cost.run_cell(options.env, line, SHIPPED / "fetch_wall_plus", options)
+    assert found["success_rate"] == 1 and found["plan_ms_median"] == 0 and 4 < found["mean_steps_to_goal"] < 25
+    assert distance_as_cost.plan_config(options.env, line, options) is None and distance_as_cost.search_of(line) == ""
+
+
 @pytest.mark.parametrize("name", sorted(path.name for path in SHIPPED.glob("*_plus")))
 def test_models_of_plus_that_ship_are_trained_as_the_tables_say(name):
     training, seed = cells.recorded_training(SHIPPED / name)
