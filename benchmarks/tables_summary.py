@@ -76,8 +76,8 @@ def alone_rows(env: str, where: str) -> list[dict[str, Any]]:
 
 
 def realtime_row(env: str) -> dict[str, Any] | None:
-    """The most plans that keep pace."""
-    own = [row for row in realtime_rows() if row["env"] == env]
+    """The most plans that keep pace, the policy's rollout among them."""
+    own = [row for row in realtime_rows() if row["env"] == env and row["proposals"] == "1"]
     fast = [row for row in own if float(row["plan_ms_median"]) < float(row["control_period_ms"])]
     return max(fast, key=lambda row: int(row["budget"]), default=None)
 

@@ -192,6 +192,10 @@ def accuracy_table() -> list[str]:
         "",
         "![The same in the long maze](results/distance_accuracy_point_maze_long.png)",
         "",
+        "`python -m benchmarks.distance_maps` draws steps to two goals over the maze, by the shortest path, the straight line and the models that ship:",
+        "",
+        "![Steps to two goals over the maze](results/distance_maps_point_maze.png)",
+        "",
         f"| task | method | seeds | {' | '.join(ACCURACY.values())} |",
         f"|---|---|---|{'---|' * len(ACCURACY)}",
     ]

@@ -39,13 +39,24 @@ def draw_field(axis: Any, field: np.ndarray, scale: float, colours: str = "virid
     return image
 
 
+def wall_boxes(scale: float) -> np.ndarray:
+    """Centres and half sizes ``(n, 4)``: x, y, half x, half y, metres."""
+    x, y, half_x, half_y = scale * np.array(INNER_WALLS + OUTER_WALLS).T
+    return np.stack([x, y, half_x + WALL_HALF_THICKNESS, half_y + WALL_HALF_THICKNESS], axis=1)
+
+
+def in_walls(positions: np.ndarray, scale: float) -> np.ndarray:
+    """Whether places ``(n, 2)`` are inside a wall."""
+    x, y, half_x, half_y = wall_boxes(scale)[:, :, None].transpose(1, 0, 2)
+    return ((np.abs(positions[:, 0] - x) < half_x) & (np.abs(positions[:, 1] - y) < half_y)).any(0)
+
+
 def draw_walls(axis: Any, scale: float) -> None:
     """The walls of the house as black boxes."""
     from matplotlib.patches import Rectangle
 
-    for x, y, half_x, half_y in scale * np.array(INNER_WALLS + OUTER_WALLS):
-        width, height = half_x + WALL_HALF_THICKNESS, half_y + WALL_HALF_THICKNESS
-        axis.add_patch(Rectangle((x - width, y - height), 2 * width, 2 * height, color="black"))
+    for x, y, half_x, half_y in wall_boxes(scale):
+        axis.add_patch(Rectangle((x - half_x, y - half_y), 2 * half_x, 2 * half_y, color="black"))
     axis.set(
         xticks=[], yticks=[], aspect="equal", xlim=(-1.05 * scale, 1.05 * scale), ylim=(-1.05 * scale, 1.05 * scale)
     )
