@@ -74,7 +74,8 @@ def main() -> int:
     n = len(next(iter(rows.values())))
     figure, axes = plt.subplots(len(rows), n, figsize=(3.1 * n, 3.2 * len(rows)), layout="constrained")
     for line, (name, found) in zip(axes, rows.items(), strict=True):
-        most, image = float(np.nanmax(found[TRUTH])), None
+        most = float(np.nanmax(found[TRUTH]))
+        image: Any = None
         for axis, (who, field) in zip(line, found.items(), strict=True):
             image = draw_field(axis, field, scale)
             image.set_clim(0.0, most)

@@ -26,8 +26,8 @@ def test_the_first_field_is_the_truth_and_plus_is_nearer_to_it_than_ours():
     found = distance_maps.fields("point_maze", goal, 25)
     truth, line, ours, plus = found.values()
     places = at_rest(world.scale, 25)[:, :2]
-    free = ~in_walls(places, world.scale).reshape(24, 25)
-    expected = world.shortest_steps(places, world.scale * np.array(goal)).reshape(24, 25)
+    free = ~in_walls(places, world.scale).reshape(25, 25)
+    expected = world.shortest_steps(places, world.scale * np.array(goal)).reshape(25, 25)
     np.testing.assert_array_equal(truth[free], expected[free])
     assert np.isnan(truth[~free]).all() and 0 < (~free).sum() < 200
     off = [np.abs(field - truth)[free].mean() for field in (line, ours, plus)]
