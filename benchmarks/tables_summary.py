@@ -6,11 +6,12 @@ from typing import Any
 
 from benchmarks.cells import usual_recipe
 from benchmarks.curves import Line, current_runs
+from benchmarks.tables_accuracy import accuracy_groups
 from benchmarks.tables_glance import sparse_runs
 from benchmarks.tables_planning import cost_rows, of_cores
 from benchmarks.tables_plus import LAST, held
 from benchmarks.tables_realtime import realtime_rows
-from benchmarks.tables_training import accuracy_groups, first_at, over_seeds
+from benchmarks.tables_training import first_at, over_seeds
 from napsp.envs.cards import suite
 from napsp.statistics import describe, interquartile_mean
 

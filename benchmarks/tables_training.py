@@ -11,8 +11,7 @@ import numpy as np
 
 from benchmarks.cells import RESULTS, read_results, training_of
 from benchmarks.coverage import CoverageOptions
-from benchmarks.curves import Line, current_runs, expected_lines, full_line_of, is_current, line_of
-from benchmarks.distance_accuracy import AccuracyOptions, usual_starts
+from benchmarks.curves import Line, current_runs, expected_lines, full_line_of, is_current
 from benchmarks.units import in_unit
 from napsp.config import DEFAULT, OF_THE_GATE, from_dict, preset
 from napsp.envs.cards import suite
@@ -139,71 +138,6 @@ def first_at(runs: list[dict[str, Any]], rate: float) -> str:
     first = [episodes[0] if episodes else np.inf for episodes in reached]
     median = np.median(first)  # half of an odd pair is never
     return f"{f'{median:.0f}' if np.isfinite(median) else 'never'} ({np.isfinite(first).sum()} of {len(runs)})"
-
-
-ACCURACY = {
-    "spearman": "Spearman",
-    "ratio_cv": "ratio CV",
-    "mean_ratio": "mean ratio",
-    "triangle_rate": "triangles violated",
-    "triangle_rate_step": "by a step",
-    "distance_at_goal": "d at the goal",
-    "slope_at_goal": "slope around it",
-    "best_action_rate": "best action",
-    "best_action_rate_by_chance": "by chance",
-    "spearman, onwards": "Spearman, onwards",
-    "spearman, backwards": "backwards",
-    "spearman, last room": "last room",
-}
-
-
-def accuracy_groups() -> dict[tuple[str, str], list[dict[str, str]]]:
-    """Rows of all training seeds, by task and method; a method of other than the task's episodes is named with them."""
-    groups: dict[tuple[str, str], list[dict[str, str]]] = {}
-    for row in read_results(RESULTS / "distance_accuracy.csv"):
-        training = training_of(row)
-        line = line_of(training) if training else None
-        usual = (str(usual_starts(row["env"])), str(AccuracyOptions.n_goals))
-        if (row["n_starts"], row["n_goals"]) in (usual, ("", "")) and (line is not None or training is None):
-            name = line.name if line else row["method"]
-            if training and full_line_of(training) is None:
-                name += f", {training.get('n_episodes', DEFAULT.n_episodes)} episodes"
-            if row.get("hold", "") not in ("", "1"):
-                name += f", to arrivals held {row['hold']} steps ({row['n_ways']} ways)"
-            groups.setdefault((row["env"], name), []).append(row)
-    return groups
-
-
-def accuracy_table() -> list[str]:
-    """Distances against exact ones, and against the best known steps."""
-    lines = [
-        "### Distance accuracy (`python -m benchmarks.distance_accuracy --env point_maze`)",
-        "",
-        "In mazes d(s, a, g) for states at rest and goals anywhere, balanced over the rooms, and uniform actions, against exact",
-        "shortest-path steps over the real dynamics (breadth-first search with MuJoCo steps as edges, 1 % above what cells half as large",
-        "find; in the long maze from 16 starts, 2 %). *Ratio* is d over the truth,",
-        "*triangles violated* the share of random triples with d(x, z) > d(x, y) + d(y, z), *slope* what d rises by with a step of truth",
-        "within five of the goal, *best action* how often the action of least d among three is a truly best one, *onwards* and *backwards* are pairs along and against the chain of rooms from the start, *last",
-        "room* pairs with the room that episodes of the task never need. In other tasks the truth is an upper bound: the fewest",
-        "steps that any planner needed (`python -m benchmarks.best_known`), for states on these ways, to the first arrival or, where a",
-        "line says so, to one that is held. Over training seeds: interquartile mean and 95 % bootstrap interval.",
-        "",
-        "![Estimated over true steps of the straight line and of plus](results/distance_accuracy_point_maze.png)",
-        "",
-        "![The same in the long maze](results/distance_accuracy_point_maze_long.png)",
-        "",
-        "`python -m benchmarks.distance_maps` draws steps to two goals over the maze, by the shortest path, the straight line and the models that ship:",
-        "",
-        "![Steps to two goals over the maze](results/distance_maps_point_maze.png)",
-        "",
-        f"| task | method | seeds | {' | '.join(ACCURACY.values())} |",
-        f"|---|---|---|{'---|' * len(ACCURACY)}",
-    ]
-    for (env, name), group in sorted(accuracy_groups().items()):
-        values = {k: [float(row[k]) for row in group if row.get(k) not in (None, "", "nan")] for k in ACCURACY}
-        cells = [over_seeds(found, len(group), 3 if "spearman" in k else 2) for k, found in values.items()]
-        lines.append(f"| {env} | {name} | {len(group) if group[0]['seed'] else '-'} | {' | '.join(cells)} |")
-    return lines
 
 
 def coverage_rows() -> list[tuple[str, dict[str, str]]]:

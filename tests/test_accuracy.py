@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import best_known, cells, distance_accuracy, maze_probe, maze_truth, tables_training
+from benchmarks import best_known, cells, distance_accuracy, maze_probe, maze_truth, tables_accuracy
 from benchmarks.distance_accuracy import agreement, best_actions, figures_of, slope, triangles
 from benchmarks.maze_probe import Probe
 from napsp import envs as tasks
@@ -191,7 +191,7 @@ def test_rows_against_first_and_held_arrivals_stand_beside_each_other(tmp_path, 
         assert distance_accuracy.main() == 0
     rows = cells.read_results(distance_accuracy.RESULTS / "distance_accuracy.csv")
     assert [(row["hold"], row["n_ways"]) for row in rows] == [("1", "2"), ("1", "2"), ("4", "2"), ("4", "2")]
-    groups = tables_training.accuracy_groups()
+    groups = tables_accuracy.accuracy_groups()
     held = ", to arrivals held 4 steps (2 ways)"
     assert [name.removesuffix(held) for _, name in groups] == ["straight line", "ours, one key"] * 2
     assert sum(name.endswith(held) for _, name in groups) == 2
@@ -217,7 +217,7 @@ def test_a_model_that_ships_is_measured_against_what_is_known(tmp_path, monkeypa
 
 def test_models_of_other_than_the_tasks_episodes_have_a_line_of_their_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(tables_training, "RESULTS", tmp_path)
+    monkeypatch.setattr(tables_accuracy, "RESULTS", tmp_path)
     whole, short = preset("point_maze", "plus"), preset("point_maze", "plus", n_episodes=300)
     trainings = ["", *(cells.as_text(config.identity()) for config in (whole, short))]
     asked = {"env": "point_maze", "n_starts": 26, "n_goals": 8, "spearman": 0.5}
@@ -227,6 +227,16 @@ def test_models_of_other_than_the_tasks_episodes_have_a_line_of_their_own(tmp_pa
         for seed in (0, 1)
     ]
     cells.replace_results(tmp_path / "distance_accuracy.csv", (), rows)
-    groups = tables_training.accuracy_groups()
+    groups = tables_accuracy.accuracy_groups()
     assert {name: len(group) for (_, name), group in groups.items()} == {
         "straight line": 2, "plus": 2, "plus, 300 episodes": 2}  # fmt: skip
+
+
+def test_errors_stand_beside_how_far_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(tables_accuracy, "RESULTS", tmp_path)
+    asked = {"env": "claw", "method": "straight line", "training": "", "seed": "", "n_starts": "", "n_goals": ""}
+    cells.replace_results(tmp_path / "distance_accuracy.csv", (), [
+        {**asked, "mean error, 0 to 5 steps": -1.25, "mean error, 40 to inf steps": 7.0}
+    ])  # fmt: skip
+    lines = tables_accuracy.error_table()
+    assert lines[-1] == "| claw | straight line | -1.2 | - | - | - | 7.0 |" and "over 40 steps" in lines[4]

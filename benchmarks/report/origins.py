@@ -11,6 +11,7 @@ from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.cells import RESULTS, read_results
 from benchmarks.readme import Table
+from benchmarks.tables_accuracy import accuracy_groups, accuracy_table, error_table
 from benchmarks.tables_glance import glance_rows, glance_table, planned_rows, planned_table
 from benchmarks.tables_minutes import minutes_rows, minutes_table
 from benchmarks.tables_plus import ablation_rows, ablation_table
@@ -111,9 +112,13 @@ ORIGINS: dict[Table, Origin] = {
         "python -m benchmarks.policy_vs_mpc --env NAME --checkpoint NAME_plus --budgets 4 8 16",
         "results/policy_vs_mpc.csv", realtime_rows, "training_seed", "seed",
     ),
-    training.accuracy_table: Origin(
+    accuracy_table: Origin(
         "python -m benchmarks.distance_accuracy --env NAME", "results/distance_accuracy.csv",
-        lambda: [row for group in training.accuracy_groups().values() for row in group], "seed",
+        lambda: [row for group in accuracy_groups().values() for row in group], "seed",
+    ),
+    error_table: Origin(
+        "python -m benchmarks.distance_accuracy --env NAME", "results/distance_accuracy.csv",
+        lambda: [row for group in accuracy_groups().values() for row in group], "seed",
     ),
     ablation_table: Origin("python -m benchmarks.ablation --env NAME", ROWS_OF_RUNS, ablation_rows, "seed"),
     planning.smoothing_table: Origin(
