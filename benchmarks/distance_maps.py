@@ -13,9 +13,10 @@ import numpy as np
 
 from benchmarks.cells import RESULTS
 from benchmarks.command import read_options
+from benchmarks.value_maps import a_maze
 from mpc.cost import EuclideanSteps, GivenSteps, LearnedSteps, StepsToGo
 from napsp import envs as tasks
-from napsp.errors import UserError, run_command
+from napsp.errors import run_command
 from napsp.storage.checkpoint import load_model
 from napsp.storage.record import save_figure
 from napsp.storage.shipped import SHIPPED
@@ -61,9 +62,7 @@ def fields(env_name: str, goal: tuple[float, float], bins: int) -> dict[str, np.
 def main() -> int:
     """Draw."""
     options = read_options(MapOptions, "distance_maps")
-    env_name = tasks.canonical_name(options.env)
-    if not env_name.startswith("point_maze"):
-        raise UserError(f"maps are drawn for point_maze and point_maze_long only, not for {env_name}")
+    env_name = a_maze(options.env)
     import matplotlib
 
     matplotlib.use("Agg")

@@ -39,6 +39,18 @@ class MapOptions:
     """Points per side."""
 
 
+def a_maze(name: str) -> str:
+    """The task of this name, if maps can be drawn of it.
+
+    Raises:
+        UserError: it is no maze.
+    """
+    env_name = tasks.canonical_name(name)
+    if not env_name.startswith("point_maze"):
+        raise UserError(f"maps are drawn for point_maze and point_maze_long only, not for {env_name}")
+    return env_name
+
+
 def load_critic(folder: Path, sizes: tuple[int, int, int], hidden: tuple[int, ...]) -> Critic:
     """The critic of a finished run, from its training state."""
     tensors, _ = read_tensors(folder / STATE_FILE, "training state")
@@ -67,9 +79,7 @@ def maps(folder: Path, env_name: str, scale: float, bins: int) -> dict[str, np.n
 def main() -> int:
     """Train what is missing and draw."""
     options = read_options(MapOptions, "value_maps")
-    env_name = tasks.canonical_name(options.env)
-    if not env_name.startswith("point_maze"):
-        raise UserError(f"maps are drawn for point_maze and point_maze_long only, not for {env_name}")
+    env_name = a_maze(options.env)
     import matplotlib
 
     matplotlib.use("Agg")
