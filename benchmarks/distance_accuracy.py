@@ -37,6 +37,8 @@ SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "triangle_rate", "tria
          "best_action_rate")  # fmt: skip
 BINS = (0, 5, 10, 20, 40, np.inf)
 STRAIGHT = "straight line"
+WIDE = 4
+"""Panels side by side."""
 STARTS, STARTS_LONG = 26, 4
 """In each room of a maze, and of the long one."""
 KEY = ("env", "method", "training", "seed", "n_starts", "n_goals", "hold")
@@ -165,9 +167,13 @@ def draw(path: Path, panels: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(1, len(panels), figsize=(3.2 * len(panels), 3.2), layout="constrained", squeeze=False)
+    columns = min(len(panels), WIDE)
+    lines = -(-len(panels) // columns)
+    figure, axes = plt.subplots(lines, columns, figsize=(3 * columns, 3 * lines), layout="constrained", squeeze=False)
     most = max(truth[np.isfinite(truth)].max() for truth, _ in panels.values())
-    for axis, (name, (truth, estimate)) in zip(axes[0], panels.items(), strict=True):
+    for axis in axes.flat[len(panels) :]:
+        axis.axis("off")
+    for axis, (name, (truth, estimate)) in zip(axes.flat, panels.items(), strict=False):
         use = np.isfinite(truth)
         jitter = np.random.default_rng(0).uniform(-0.4, 0.4, use.sum())  # true steps are whole numbers
         axis.scatter(truth[use] + jitter, estimate[use], s=2, alpha=0.25, linewidths=0, rasterized=True)
