@@ -63,7 +63,6 @@ def draw(path: Path, panels: dict[str, np.ndarray], scale: float, captions: dict
         axis.set_title(f"{method}\n{captions[method]}")
         draw_walls(axis, scale)
     figure.colorbar(dots, ax=axes, label="training episode", shrink=0.7)
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)
 
 

@@ -203,7 +203,6 @@ def grid(panels: list[tuple[str, str]], n_columns: int, path: Path) -> None:
     figure, axes = plt.subplots(n_rows, n_columns, figsize=(3.1 * n_columns, 3.0 * n_rows), layout="constrained")
     for axis, (env, column) in zip(np.ravel(axes), panels, strict=True):
         draw(axis, env, current_runs(env), column)
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)
     print(f"picture: {path}")
 

@@ -84,7 +84,6 @@ def main() -> int:
         line[0].set_ylabel(name, fontsize=9)
         figure.colorbar(image, ax=line, shrink=0.8, label="steps", extend="max")
     path = RESULTS / f"distance_maps_{env_name}.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)
     print(f"picture: {path}")
     return 0

@@ -99,7 +99,6 @@ def main() -> int:
             figure.colorbar(draw_field(axis, found[name], scale, colours), ax=axis, shrink=0.7)
             axis.plot(0.5 * scale, 0.5 * scale, "r*")
     path = RESULTS / f"figure4_{env_name}.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)
     print(f"picture: {path}")
     return 0

@@ -43,12 +43,13 @@ def write_record(folder: Path, config: TrainConfig, rows: list[Row], revisions: 
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a matplotlib figure as PNG, atomically, and close it."""
+    """Write a matplotlib figure as PNG, atomically, in a folder that may have to be made, and close it."""
     from matplotlib import pyplot as plt
 
     image = io.BytesIO()
     figure.savefig(image, format="png", dpi=110)
     plt.close(figure)
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, image.getvalue())
 
 
