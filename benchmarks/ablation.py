@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -101,7 +101,8 @@ def measure(config: TrainConfig) -> None:
 def main() -> int:
     """Train and measure."""
     options = read_options(AblationOptions, "ablation")
-    if tasks.canonical_name(options.env) not in TASKS:
+    options = replace(options, env=tasks.canonical_name(options.env))
+    if options.env not in TASKS:
         raise UserError(f"parts are left out on {', '.join(TASKS)}; give one of them with --env")
     unknown = set(options.parts) - set(removals(options.env))
     if unknown:

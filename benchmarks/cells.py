@@ -173,9 +173,15 @@ def find(rows: Iterable[Mapping[str, str]], key: Mapping[str, Any]) -> Mapping[s
     return next((row for row in rows if wanted.items() <= row.items()), None)
 
 
-def append_result(path: Path, row: Mapping[str, Any]) -> None:
-    """Add a row, atomically; a row of the same cell must not exist yet."""
-    replace_results(path, (), [row])
+def figures_folder(options: Any) -> Path:
+    """Where figures go: published ones show the episodes that are published, those of a trial lie beside its runs."""
+    usual = type(options)()
+    return RESULTS if (options.episodes, options.seed) == (usual.episodes, usual.seed) else RUNS
+
+
+def add_result(path: Path, cell: Mapping[str, Any], figures: Mapping[str, Any]) -> None:
+    """Add the row of a cell, atomically; if another process measured it meanwhile, in place of its row."""
+    replace_results(path, tuple(cell), [{**cell, **figures}])
 
 
 def replace_results(path: Path, key: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:

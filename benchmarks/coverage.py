@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.cells import RESULTS, append_result, as_text, find, read_results, trained
+from benchmarks.cells import RESULTS, add_result, as_text, find, read_results, trained
 from benchmarks.command import read_options
 from napsp import envs as tasks
 from napsp.config import PAPER_METHODS, preset
@@ -87,7 +87,7 @@ def main() -> int:
             figures = {"coverage": house, "goal_room_coverage": goal_room, "success_rate": last["success_rate"],
                        "any_success_rate": last["any_success_rate"], "episodes": len(positions)}  # fmt: skip
             if find(read_results(path), key) is None:
-                append_result(path, {**key, "revision": _revision(folder), **figures})
+                add_result(path, key, {"revision": _revision(folder), **figures})
             print("  ".join([f"{method:14s} seed {seed}", *(f"{k} {v:.2f}" for k, v in figures.items())]))
             if seed == options.seeds[0]:
                 panels[method], captions[method] = positions, f"house {house:.0%}, goal room {goal_room:.0%}"

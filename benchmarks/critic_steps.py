@@ -17,6 +17,23 @@ from napsp.storage.state import STATE_FILE
 PREFIX = "critic."
 
 
+def load_critic(folder: Path, model: Model) -> Critic:
+    """The critic of a finished run, from its training state.
+
+    Raises:
+        UserError: that is gone; the model alone holds no critic.
+    """
+    path, policy = folder / STATE_FILE, model.config.policy
+    if not path.is_file():
+        raise UserError(f"{path} is missing, and a model alone holds no critic; train it again")
+    tensors = {name.removeprefix(PREFIX): value for name, value in read_tensors(path, "training state")[0].items()
+               if name.startswith(PREFIX)}  # fmt: skip
+    n_critics = 2 if policy.agent == "sac" else 1 + policy.clipped_double_q
+    critic = Critic(tuple(model.header["sizes"]), model.config.hidden, n_critics)
+    critic.load_state_dict(tensors)
+    return critic
+
+
 def critic_steps(folder: Path, model: Model) -> Callable[[np.ndarray, np.ndarray | None, np.ndarray], np.ndarray]:
     """Steps ``(n,)`` that the sparse critic of a finished run means, within [1, T].
 
@@ -26,16 +43,10 @@ def critic_steps(folder: Path, model: Model) -> Callable[[np.ndarray, np.ndarray
     Raises:
         UserError: the run's training state is gone; the model alone holds no critic.
     """
-    path, config = folder / STATE_FILE, model.config
+    config = model.config
     if config.learns_distance:
         raise UserError(f"{folder} was trained with --method {config.method}, whose critic's rewards are no steps")
-    if not path.is_file():
-        raise UserError(f"{path} is missing, and a model alone holds no critic; train it again")
-    tensors = {name.removeprefix(PREFIX): value for name, value in read_tensors(path, "training state")[0].items()
-               if name.startswith(PREFIX)}  # fmt: skip
-    n_critics = 2 if config.policy.agent == "sac" else 1 + config.policy.clipped_double_q
-    critic = Critic(tuple(model.header["sizes"]), config.hidden, n_critics)
-    critic.load_state_dict(tensors)
+    critic = load_critic(folder, model)
     discount, length = config.policy.discount, model.header["episode_length"]
 
     def steps(observations: np.ndarray, actions: np.ndarray | None, goals: np.ndarray) -> np.ndarray:

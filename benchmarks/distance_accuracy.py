@@ -208,12 +208,13 @@ def main() -> int:
         raise UserError("--checkpoint and --methods exclude each other; give one of them")
     env_name = tasks.canonical_name(options.env)
     torch.set_num_threads(1)
-    chosen = [(subject, load_model(subject.checkpoint(), env_name)) for subject in subjects(options, env_name)]
+    wanted = list(subjects(options, env_name))  # one that is impossible is named before others are trained
     in_maze = env_name.startswith("point_maze")
     if in_maze and options.hold > 1:
         raise UserError(f"{env_name} is measured against exact first arrivals; leave out --hold")
     n_starts = usual_starts(env_name) if options.n_starts is None else options.n_starts
     probe = maze_probe(env_name, n_starts, options.n_goals) if in_maze else known_probe(env_name, options.hold)
+    chosen = [(subject, load_model(subject.checkpoint(), env_name)) for subject in wanted]
     known = probe.steps[np.isfinite(probe.steps)]
     n_ways = "" if in_maze else int(probe.kinds["from the start"].sum())
     print(f"{env_name}: {len(known)} pairs, {known.mean():.1f} steps in the mean")
@@ -236,8 +237,8 @@ def main() -> int:
         RESULTS / "distance_accuracy.csv", KEY, [{"env": env_name, **sizes, "n_ways": n_ways, **row} for row in rows]
     )
     if options.methods:
-        wanted = [STRAIGHT, *(f"{method}, seed {options.seeds[0]}" for method in options.methods)]
-        draw(RESULTS / f"distance_accuracy_{env_name}.png", {name: panels[name] for name in wanted if name in panels})
+        shown = [STRAIGHT, *(f"{method}, seed {options.seeds[0]}" for method in options.methods)]
+        draw(RESULTS / f"distance_accuracy_{env_name}.png", {name: panels[name] for name in shown if name in panels})
     if options.json is not None:
         learned: list[dict[str, Any]] = rows[-len(chosen) :]
         names = [name for name, value in learned[0].items() if isinstance(value, float)]

@@ -19,7 +19,7 @@ import torch
 
 from benchmarks.cells import (
     RESULTS,
-    append_result,
+    add_result,
     as_text,
     checkpoint_of,
     find,
@@ -261,7 +261,7 @@ def main() -> int:
             if row is None:
                 checkpoint = checkpoint_of(config) if config else None
                 figures = run_cell(env_name, variant, checkpoint, options)
-                append_result(path, {**key, "starts": options.starts, **figures, "revision": git_revision()})
+                add_result(path, key | {"starts": options.starts}, figures | {"revision": git_revision()})
                 row = find(rows_of(path, options), key)
             assert row is not None
             rate, n = float(row["success_rate"]), options.episodes

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 import napsp
-from benchmarks.cells import RESULTS, append_result, as_text, read_results, usual_recipe
+from benchmarks.cells import RESULTS, add_result, as_text, read_results, usual_recipe
 from benchmarks.command import read_options
 from benchmarks.machine import machine, processor
 from napsp import envs as tasks
@@ -196,7 +196,7 @@ def run_cell(env: str, method: str, options: MinutesOptions) -> dict[str, str]:
             run_peer(env, Published.of(env), every, n_goals, options.seed, watched, watched.is_up)
         else:
             run_own(config, watched)
-        append_result(FILE, {**asked, **watched.figures(), "library": version, **machine()})
+        add_result(FILE, asked, {**watched.figures(), "library": version, **machine()})
         row = answer(read_results(FILE), asked, options.minutes)
     assert row is not None
     return row

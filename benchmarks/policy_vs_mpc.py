@@ -20,8 +20,9 @@ import torch
 
 from benchmarks.cells import (
     RESULTS,
-    append_result,
+    add_result,
     as_text,
+    figures_folder,
     find,
     read_results,
     shipped_training,
@@ -132,6 +133,17 @@ def subjects(options: VersusOptions) -> list[Subject]:
     """Models to compare with."""
     env = tasks.canonical_name(options.env)
     if options.checkpoint is not None:
+        usual = VersusOptions()
+        described = (
+            "recipe",
+            "training_seed",
+            "training_episodes",
+            "first_arrival",
+            "episodes_per_iteration",
+            "progress",
+        )
+        for name in (name for name in described if getattr(options, name) != getattr(usual, name)):
+            raise UserError(f"--{name.replace('_', '-')} describes a checkpoint to train; leave out it or --checkpoint")
         return [Subject.existing(env, options.checkpoint)]
     changes: dict[str, Any] = {"temporal.first_arrival": True} if options.first_arrival else {}
     if options.episodes_per_iteration is not None:
@@ -173,7 +185,7 @@ def run_cell(subject: Subject, planner: str, budget: int, proposals: bool, optio
             figures = run_policy(subject.env, checkpoint, seeds)
         else:
             figures = run_planner(planned, checkpoint, seeds)
-        append_result(FILE, {**key, **figures, "revision": git_revision(), "cores": available_cores()})
+        add_result(FILE, key, {**figures, "revision": git_revision(), "cores": available_cores()})
         row = find(read_results(FILE), key)
     assert row is not None
     return dict(row)
@@ -244,7 +256,7 @@ def main() -> int:
     own = [row for row in read_results(FILE) if row["env"] == todo[0][0].env]
     measured = todo[0][0]
     of_line = None if measured.seed == usual_seed(measured.training) else measured.seed
-    picture = draw(comparable(own, options.episodes, options.seed, of_line))
+    picture = draw(comparable(own, options.episodes, options.seed, of_line), figures_folder(options))
     if picture is not None:
         print(f"picture: {picture}")
     return 0

@@ -19,6 +19,7 @@ from benchmarks.tables_glance import glance_table, planned_table
 from benchmarks.tables_minutes import minutes_table
 from benchmarks.tables_plus import ablation_table
 from benchmarks.tables_realtime import realtime_table
+from benchmarks.tables_revisions import revisions_table
 from benchmarks.tables_summary import summary_table
 from napsp.errors import run_command
 from napsp.storage.files import write_atomically
@@ -32,7 +33,7 @@ TABLES: dict[Path, tuple[Table, ...]] = {
         summary_table, training.learning_table, minutes_table, planned_table, planning.cost_table,
         planning.versus_table, realtime_table, accuracy_table, error_table, ablation_table, planning.smoothing_table,
         training.training_table, training.coverage_table, training.gate_table, speed.speed_table,
-        speed.throughput_table, speed.learner_table,
+        speed.throughput_table, speed.learner_table, revisions_table,
     ),
     GLOSSARY: (columns_table,),
 }  # fmt: skip

@@ -18,8 +18,9 @@ import torch
 
 from benchmarks.cells import (
     RESULTS,
-    append_result,
+    add_result,
     as_text,
+    figures_folder,
     find,
     read_results,
     shipped_training,
@@ -234,7 +235,7 @@ def main() -> int:
             "training": as_text(training), "training_seed": training_seed, "threads": options.threads,
         }  # fmt: skip
         if find(read_results(path), key) is None:
-            append_result(path, {**key, **run_cell(session, options), "revision": git_revision()})
+            add_result(path, key, {**run_cell(session, options), "revision": git_revision()})
         row = find(read_results(path), key)
         assert row is not None
         plain = plain or row
@@ -242,9 +243,10 @@ def main() -> int:
         if variant in (PLAIN, SMOOTHED):
             shown[f"{options.planner}, {variant}"] = session.run_episode(options.seed)
         session.close()
-    draw_frontier(RESULTS / "smoothing_frontier.png", comparable(read_results(path), options.episodes, options.seed))
+    folder = figures_folder(options)
+    draw_frontier(folder / "smoothing_frontier.png", comparable(read_results(path), options.episodes, options.seed))
     suffix, words = ("", "") if options.proposals else ("_no_proposals", ", without policy proposals")
-    picture = RESULTS / f"smoothing_{env_name}_{options.planner}{suffix}.png"
+    picture = folder / f"smoothing_{env_name}_{options.planner}{suffix}.png"
     draw(picture, f"{env_name}, seed {options.seed}{words}", shown)
     return 0
 

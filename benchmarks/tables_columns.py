@@ -105,6 +105,9 @@ COLUMNS = {
     "CPU": "CPU seconds ours got per second; below the number of threads the machine was shared.",
     "GPU idle": "Share of an update in which no kernel ran.",
     "revision": "Of the source that was measured; + is with changes.",
+    "file": "Where rows are kept.",
+    "rows": "How many it holds.",
+    "of changed trees": "Rows whose revision, or that of the training, ends in +: the source had changes that were not committed.",
 }  # fmt: skip
 """By heading."""
 

@@ -7,12 +7,12 @@ import numpy as np
 from benchmarks import minutes
 from benchmarks.cells import read_results
 from benchmarks.curves import METHODS
-from napsp.envs.cards import suite
+from napsp.envs.cards import CARDS, suite
 
 
 def minutes_rows() -> list[dict[str, str]]:
     """A run of each task, processor, method and seed that was timed with today's settings."""
-    rows, order, tasks = read_results(minutes.FILE), (*METHODS, minutes.PEER), suite("paper")
+    rows, order, tasks = read_results(minutes.FILE), (*METHODS, minutes.PEER), list(CARDS)
     cells = {(row["env"], row.get("processor", ""), order.index(row["method"]), int(row["seed"])) for row in rows}
     found = [
         minutes.answer(rows, minutes.question(env, order[method], seed, processor))

@@ -35,6 +35,8 @@ def cost_table() -> list[str]:
     for row in cost_rows():
         variant = row["variant"] + (", uniform starts and goals" if row["starts"] else "")
         groups[row["env"], variant, row["line"].name if row["line"] else "-"].append(row)
+    for rows in groups.values():
+        rows.sort(key=lambda row: int(row["training_seed"] or 0))
     lines = [
         "### Which cost plans (`python -m benchmarks.distance_as_cost --env NAME`)",
         "",

@@ -15,15 +15,13 @@ import torch
 
 from benchmarks.cells import RESULTS, trained
 from benchmarks.command import read_options
+from benchmarks.critic_steps import load_critic
 from mpc.cost import LearnedSteps
 from napsp import envs as tasks
 from napsp.config import PAPER_METHODS, preset
 from napsp.errors import UserError, run_command
-from napsp.policy.critic import Critic
 from napsp.storage.checkpoint import load_model
-from napsp.storage.files import read_tensors
 from napsp.storage.record import save_figure
-from napsp.storage.state import STATE_FILE
 from planners.app.maze_map import BINS, at_rest, draw_field, steps_field
 
 
@@ -51,23 +49,13 @@ def a_maze(name: str) -> str:
     return env_name
 
 
-def load_critic(folder: Path, sizes: tuple[int, int, int], hidden: tuple[int, ...]) -> Critic:
-    """The critic of a finished run, from its training state."""
-    tensors, _ = read_tensors(folder / STATE_FILE, "training state")
-    weights = {k.removeprefix("critic."): v for k, v in tensors.items() if k.startswith("critic.")}
-    n_critics = len({name.split(".")[1] for name in weights if name.startswith("nets.")})
-    critic = Critic(sizes, hidden, n_critics)
-    critic.load_state_dict(weights)
-    return critic
-
-
 def maps(folder: Path, env_name: str, scale: float, bins: int) -> dict[str, np.ndarray]:
     """Value and distance ``(bins, bins)`` [y, x]; the distance is missing for ``sparse``."""
     model = load_model(folder, env_name)
     goal = np.array([0.5, 0.5]) * scale
     states = torch.from_numpy(at_rest(scale, bins).astype(np.float32))
     goals = torch.from_numpy(goal.astype(np.float32)).expand(len(states), -1)
-    critic = load_critic(folder, tuple(model.header["sizes"]), model.config.hidden)
+    critic = load_critic(folder, model)
     with torch.inference_mode():
         values = critic(states, model.policy.mode(states, goals), goals).amin(0)
     found = {"value": values.numpy().reshape(bins, bins)}

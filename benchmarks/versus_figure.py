@@ -16,7 +16,7 @@ PLANNERS = ("mppi", "cem", "icem", "predictive_sampling")
 SMOOTHING = " + smoothing"
 
 
-def draw(found: Sequence[Mapping[str, Any]]) -> Path | None:
+def draw(found: Sequence[Mapping[str, Any]], folder: Path = RESULTS) -> Path | None:
     """Success against samples per step and against training episodes, as far as a task has rows of several.
 
     ``found`` are rows of one task as benchmarks.policy_vs_mpc.comparable returns them.
@@ -29,7 +29,8 @@ def draw(found: Sequence[Mapping[str, Any]]) -> Path | None:
     rows = [row for row in found if row["line"].in_figures]
     kinds = list(dict.fromkeys(row["line"] for row in rows))
     several = len(kinds) > 1
-    last, panels = max((int(row["training_episodes"]) for row in rows), default=0), {}
+    last = {kind: max(int(row["training_episodes"]) for row in rows if row["line"] == kind) for kind in kinds}
+    panels: dict[str, dict[str, list[tuple[int, float]]]] = {}
     looks: dict[str, dict[str, Any]] = {}
     for x in ("budget", "training_episodes"):
         lines: dict[str, list[tuple[int, float]]] = {}
@@ -37,14 +38,18 @@ def draw(found: Sequence[Mapping[str, Any]]) -> Path | None:
             name = row["planner"] + (" + policy's rollout" if row["proposals"] == "1" else "")
             name += f" ({row['line'].name})" if several else ""
             looks[name] = _look(row["planner"], row["proposals"] == "1", kinds.index(row["line"]))
-            if (int(row["training_episodes"]) == last) if x == "budget" else (row["budget"] in ("0", "64")):
+            ended = int(row["training_episodes"]) == last[row["line"]]
+            if ended if x == "budget" else row["budget"] in ("0", "64"):
                 lines.setdefault(name, []).append((int(row[x]), float(row["success_rate"])))
         if any(len(points) > 1 for points in lines.values()):
             panels[x] = lines
-    if not panels:  # one budget and one checkpoint each: the table says it all
+    if not rows:
         return None
     env_name = rows[0]["env"]
-    path = RESULTS / f"policy_vs_mpc_{tasks.file_name(env_name)}.png"
+    path = folder / f"policy_vs_mpc_{tasks.file_name(env_name)}.png"
+    if not panels:  # one budget and one checkpoint each: the table says it all
+        path.unlink(missing_ok=True)  # of other rows
+        return None
     size = (5.2 if len(panels) == 1 else 8, 3 + (0.2 if several else 0.1) * len(looks))
     figure, axes = plt.subplots(1, len(panels), figsize=size, layout="constrained")
     for axis, (x, lines) in zip(np.atleast_1d(axes), panels.items(), strict=True):

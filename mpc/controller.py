@@ -69,6 +69,10 @@ class Smoother(Protocol):
         """A new episode begins."""
         ...
 
+    def skip(self, steps: int) -> None:
+        """So many control steps went by unplanned."""
+        ...
+
     def __call__(
         self, state: State, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
     ) -> Smoothed:
@@ -170,8 +174,10 @@ class Controller:
         """
         return self.plan_from(self.engine.state_of(env), observation)
 
-    def plan_from(self, state: State, observation: dict[str, np.ndarray]) -> Plan:
+    def plan_from(self, state: State, observation: dict[str, np.ndarray], executed: np.ndarray | None = None) -> Plan:
         """Plan from a full simulator state and the observation that belongs to it.
+
+        ``executed`` ``(k, A)``, k <= 2, are the last actions, the latest last; None: the first ones of the last plans.
 
         Raises:
             ValueError: the desired goal is not finite.
@@ -198,7 +204,8 @@ class Controller:
         plan, effective_samples = self._actions(self.planner.plan), self.planner.effective_samples
         sampled = time.perf_counter()
         if self.smoother is not None:
-            plan = self._smooth(self.smoother, state, observation, plan)
+            last = np.array(self._executed, np.float32) if executed is None else executed
+            plan = self._smooth(self.smoother, state, observation, plan, last.reshape(-1, plan.shape[1]))
         self._shift_due = True
         ended = time.perf_counter()
         return Plan(
@@ -207,8 +214,12 @@ class Controller:
 
     def skip(self, steps: int) -> None:
         """Move the plan on by ``steps`` control steps that went by unplanned since the one that was planned last."""
-        for _ in range(steps if self._shift_due else 0):
+        if not self._shift_due:
+            return
+        for _ in range(steps):
             self.planner.shift(self._shift)
+        if self.smoother is not None:
+            self.smoother.skip(steps)
 
     def cost_of(self, env: Any, observation: dict[str, np.ndarray], actions: np.ndarray) -> float:
         """What a plan ``(H, A)`` costs from the current state of ``env``, in steps, by rolling it out alone.
@@ -224,9 +235,13 @@ class Controller:
         return float(self.cost(observation, trajectories, plans, observation["desired_goal"])[0])
 
     def _smooth(
-        self, smoother: Smoother, state: State, observation: dict[str, np.ndarray], plan: np.ndarray
+        self,
+        smoother: Smoother,
+        state: State,
+        observation: dict[str, np.ndarray],
+        plan: np.ndarray,
+        executed: np.ndarray,
     ) -> np.ndarray:
-        executed = np.array(self._executed[-2:], np.float32).reshape(-1, plan.shape[1])
         smoothed = smoother(state, observation, plan, executed)
         if smoothed.accepted and smoothed.cost is not None:
             # The next plan starts from it, or from the nearest that K knots can express: nobody rolled that one out,

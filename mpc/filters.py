@@ -21,6 +21,9 @@ class LowPass:
     def reset(self) -> None:
         """Nothing is remembered."""
 
+    def skip(self, steps: int) -> None:
+        """Nothing is remembered."""
+
     def __call__(
         self, state: State, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
     ) -> Smoothed:

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from napsp.errors import UserError
 from napsp.settings import MANY, check_ranges
 
 Interpolation = Literal["zero", "linear", "cubic"]
@@ -23,15 +24,16 @@ class SplineConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, knots=(1, MANY))
+        if self.knots is None and self.interpolation != "linear":
+            raise UserError("--spline.interpolation needs --spline.knots: one knot per control step leaves no gaps")
 
 
-def interpolation_matrix(n_knots: int, horizon: int, kind: Interpolation, shift: float = 0.0) -> np.ndarray:
+def interpolation_matrix(n_knots: int, horizon: int, kind: Interpolation) -> np.ndarray:
     """Matrix ``(H, K)`` that turns K knots, spread over the horizon, into H controls.
 
-    With ``n_knots == horizon`` and no shift it is the identity: one knot per control step.
-    ``shift`` (control steps) reads the plan later; past its end the last knot is held.
+    With ``n_knots == horizon`` it is the identity: one knot per control step.
     """
-    return _evaluate(n_knots, horizon, kind, np.arange(horizon) + shift)
+    return _evaluate(n_knots, horizon, kind, np.arange(horizon))
 
 
 def shift_matrix(n_knots: int, horizon: int, kind: Interpolation) -> np.ndarray:

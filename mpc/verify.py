@@ -43,8 +43,8 @@ class Verified:
 def verify(env: Any, engine: RolloutEngine, name: str) -> Verified:
     """Plan and execute parts of two episodes of ``env``, which is reset and stepped: give one that is not needed.
 
-    Every worker of ``engine``, whose dynamics are those of ``env``, plans the same actions: from the start, and after
-    actions held until something touches. Warns if the environment then does something else than planned, or if
+    Workers of ``engine``, whose dynamics are those of ``env``, share copies of the same actions: from the start, and
+    after actions held until something touches. Warns if the environment then does something else than planned, or if
     planning changes the model.
     """
     rng, n_steps = np.random.default_rng(0), 0

@@ -128,6 +128,11 @@ class TrainConfig:
         return -(-self.n_warmup_episodes // self.episodes_per_iteration) * self.episodes_per_iteration
 
     @property
+    def n_iterations(self) -> int:
+        """Iterations of Algorithm 1, I: as many as the episodes after the warm-up need."""
+        return -(-(self.n_episodes - self.n_warmup) // self.episodes_per_iteration)
+
+    @property
     def episode_length(self) -> int:
         """T, control steps per episode; distances are learned in units of T."""
         return episode_length(self.env)
@@ -264,6 +269,7 @@ def from_dict(values: Mapping[str, Any]) -> TrainConfig:
     Raises:
         UserError: an option is unknown or of the wrong kind.
     """
+    canonical_name(values.get("env", DEFAULT.env))  # of a task that is not at hand it says so
     try:
         return changed(DEFAULT, flat(values))
     except UserError as error:

@@ -12,7 +12,9 @@ import torch
 from napsp import envs as tasks
 from napsp.callable_module import callable_module
 from napsp.command_line import ask
+from napsp.config import DEFAULT
 from napsp.data.outcomes import evaluate
+from napsp.envs.gap import goal_gap
 from napsp.envs.goal_task import make_goal_task
 from napsp.errors import UserError, run_command
 from napsp.policy.greedy import GreedyPolicy
@@ -27,8 +29,9 @@ from napsp.storage.shipped import shipped_model
 class EvaluateOptions:
     """Run the deterministic policy of a checkpoint."""
 
-    env: str = "fetch_wall"
-    """Task: one that napsp list shows, or what --checkpoint was trained on."""
+    env: str | None = None
+    """Task: one that napsp list shows, or what --checkpoint was trained on, which is the default; without either,
+    fetch_wall."""
     checkpoint: Path | None = None
     """A file or folder written by napsp.train, or the name of one that ships, such as
     fetch_pick_place_first_arrival; default: the one that ships for the task."""
@@ -46,12 +49,14 @@ def main() -> int:
     if options.episodes < 1 or options.seed < 0:
         raise UserError("--episodes must be at least 1 and --seed at least 0")
     torch.set_num_threads(1)
-    env_name = tasks.canonical_name(options.env)
-    model = load_model(options.checkpoint or shipped_model(env_name), env_name)
+    asked = tasks.canonical_name(options.env or DEFAULT.env) if options.env or not options.checkpoint else None
+    model = load_model(options.checkpoint or shipped_model(asked or DEFAULT.env), asked)
+    env_name = model.config.env
     env = make_goal_task(env_name, model.config.reached)
     model.check_sizes(env)
     seeds = [options.seed + i for i in range(options.episodes)]
     result, _ = evaluate([env], GreedyPolicy(model.policy), seeds, model.config.episode_length)
+    shown, unit = goal_gap(env.unwrapped, result.gaps[:, -1])
     env.close()
     hits = result.first_hits[~np.isnan(result.first_hits)]
     n = len(seeds)
@@ -65,7 +70,7 @@ def main() -> int:
         "any_success_rate": result.any_success_rate,
         "any_success_interval_95": wilson_interval(len(hits), n),
         "mean_steps_to_goal": float(hits.mean()) if len(hits) else None,
-        "mean_final_gap_m": float(result.gaps[:, -1].mean()),
+        f"mean_final_gap_{unit}".rstrip("_"): float(shown.mean()),
         "checkpoint": model.header,
     }
     print(f"policy on {env_name}: success {describe(figures['success_rate'], figures['success_interval_95'])}, "

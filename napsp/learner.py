@@ -15,7 +15,7 @@ from torch import Tensor
 
 from napsp.config import TrainConfig
 from napsp.data.buffer import EpisodeBuffer, sample_pairs, sample_triples
-from napsp.data.episodes import ARRIVED, Episodes, SparseReward, concatenate
+from napsp.data.episodes import Episodes, SparseReward, concatenate
 from napsp.distance.graph import ReplayGraph
 from napsp.distance.labels import hypotenuse, temporal_label
 from napsp.policy.agent import Agent, PolicyBatch
@@ -185,7 +185,7 @@ class Learner:
         Where nothing is reached any more, d is T: no pair of an episode could tell the network so.
         """
         config = self.config
-        if not config.n_policy_updates:
+        if not config.n_policy_updates or not self.buffer.episodes().n_steps:
             return {}
         n_sampled = config.n_policy_updates * config.batch_size
         drawn = sample_relabelled(self.buffer.episodes(), n_sampled, config.her, self.sparse_reward, self.rng)
@@ -211,15 +211,15 @@ class Learner:
     def train_jointly(self) -> Metrics:
         """Distance and policy in one; beyond the paper. What is known of each transition goes into its label."""
         config = self.config
-        if not config.n_policy_updates:
+        if not config.n_policy_updates or not self.buffer.episodes().n_steps:
             return {}
         n_sampled = config.n_policy_updates * config.batch_size
         drawn = sample_relabelled(self.buffer.episodes(), n_sampled, config.her, self.sparse_reward, self.rng)
         known = np.full(n_sampled, np.nan, np.float32)
-        if self.graph is not None:
+        if self.graph is not None and config.method == "plus":  # qrl has it for the sake of its explorers
             known = 1.0 + self.graph.steps(drawn.next_achieved, drawn.goals)
         observed = drawn.steps_between if config.bootstrap.bound else np.full_like(drawn.steps_between, np.inf)
-        if self.lasting and not self.arriving_ends:
+        if self.lasting and not self.buffer.episodes().arriving_ends:  # where they end, no arrival has to last
             followed = np.isfinite(drawn.after).all(1)
             stayed = np.zeros(n_sampled, bool)
             stayed[followed] = self.sparse_reward(drawn.after[followed], drawn.goals[followed]) == 0
@@ -227,12 +227,8 @@ class Learner:
         raw = (drawn.observations, drawn.actions, drawn.next_observations, drawn.goals)
         seen = (drawn.rewards == 0, observed, known, drawn.next_achieved, drawn.ended)
         batch = DescentBatch(*map(torch.from_numpy, (*raw, *seen)))
-        return self.agent.train(batch, config.batch_size, self.generator) | {"known": float(np.isfinite(known).mean())}
-
-    @property
-    def arriving_ends(self) -> bool:
-        """Whether the task was seen to terminate episodes at their goals: no arrival has to last there."""
-        return bool((self.buffer.episodes().endings == ARRIVED).any())
+        shares = {"known": float(np.isfinite(known).mean())} if config.method == "plus" else {}
+        return self.agent.train(batch, config.batch_size, self.generator) | shares
 
     def extend_buffer(self, recent: Episodes) -> None:
         """Algorithm 1, line 22: D <- D + D_last, of which the last ``replay_capacity`` episodes stay.

@@ -28,13 +28,16 @@ from napsp.storage.checkpoint import Model, load_model
 from napsp.storage.record import RECORD_FILE, command_line
 from napsp.train import train as run_training
 from napsp.train import usual_folder
+from napsp.unread import tell_of_unread
 
 Array = np.ndarray | Tensor
 """What distances take and give: numpy in, numpy out; torch in, torch out, of the same float type and device."""
 
 
 class Gradient(NamedTuple):
-    """Partial derivatives of d at a point, steps per unit of each input; shapes are those of the inputs."""
+    """Partial derivatives of d, steps per unit of each input: at a point ``(O,)``, ``(A,)``, ``(G,)``; at several,
+    with the leading dimensions that the inputs broadcast to.
+    """
 
     observation: Any
     action: Any
@@ -82,9 +85,10 @@ class Distance:
             ValueError: an input has another width than the model's, or they do not broadcast.
         """
         rows, leading = self._rows(observation, action, goal)
-        with torch.set_grad_enabled(isinstance(observation, Tensor)):
+        carries = any(isinstance(part, Tensor) for part in (observation, action, goal))
+        with torch.set_grad_enabled(carries and torch.is_grad_enabled()):
             steps = self._network.steps(*rows)
-        return _like(observation, steps.reshape(leading))
+        return _like(_first(observation, action, goal), steps.reshape(leading))
 
     def gradient(self, observation: Array, action: Array | None, goal: Array) -> Gradient:
         """Derivatives of d by its inputs, of the network itself: they do not vanish where d is cut off at 0 or T.
@@ -98,7 +102,8 @@ class Distance:
         rows = [part.detach().requires_grad_() for part in rows]
         with torch.enable_grad():
             found = torch.autograd.grad(self._network(*rows).sum(), rows)
-        return Gradient(*(_like(observation, part.reshape(*leading, -1)) for part in found))
+        like = _first(observation, action, goal)
+        return Gradient(*(_like(like, part.reshape(*leading, -1)) for part in found))
 
     def action(self, observation: Array, goal: Array) -> Any:
         """The policy's action ``(..., A)``, in [-1, 1].
@@ -107,7 +112,7 @@ class Distance:
             ValueError: see :meth:`__call__`.
         """
         rows, leading = self._rows(observation, None, goal)
-        return _like(observation, rows[1].reshape(*leading, -1))
+        return _like(_first(observation, None, goal), rows[1].reshape(*leading, -1))
 
     def explain(self) -> str:
         """Task, T, sizes and how it was trained, in a few lines."""
@@ -129,8 +134,7 @@ class Distance:
     def _rows(self, observation: Array, action: Array | None, goal: Array) -> tuple[list[Tensor], tuple[int, ...]]:
         """Rows ``(B, .)`` of all three for the networks, and what B stands for; a = pi(s, g) if there is none."""
         names, given = ("observation", "action", "goal"), (observation, action, goal)
-        parts = {name: torch.as_tensor(part).to("cpu", torch.float32)
-                 for name, part in zip(names, given, strict=True) if part is not None}  # fmt: skip
+        parts = {name: _tensor(part) for name, part in zip(names, given, strict=True) if part is not None}
         for name, size in zip(names, self.sizes, strict=True):
             if name in parts and parts[name].shape[-1:] != (size,):
                 shape = tuple(parts[name].shape)
@@ -144,6 +148,16 @@ class Distance:
         if "action" not in rows:
             rows["action"] = self.model.policy.mode(rows["observation"], rows["goal"])
         return [rows[name] for name in names], tuple(leading)
+
+
+def _tensor(part: Array) -> Tensor:
+    """Numbers as the networks read them; numpy's may lie in any order, and be read-only."""
+    return torch.as_tensor(part if isinstance(part, Tensor) else np.array(part, np.float32)).to("cpu", torch.float32)
+
+
+def _first(observation: Array, action: Array | None, goal: Array) -> Array:
+    """What decides the kind of the answer: the first tensor, if any was given."""
+    return next((part for part in (observation, action, goal) if isinstance(part, Tensor)), observation)
 
 
 def _like(given: Array, found: Tensor) -> Any:
@@ -226,7 +240,8 @@ def train(
         options: any other option of the command by its dotted name, such as ``{"temporal.first_arrival": True}``.
         out: folder of the run; an unfinished one with the same settings is continued.
         restart: overwrite the run in that folder instead.
-        on_evaluation: is handed the figures of each evaluation; returning False ends the training, saved.
+        on_evaluation: is handed the figures of each evaluation; returning False, or what counts as that, ends the
+            training, saved.
         device: where the networks are trained.
         compiled: compile the losses.
 
@@ -236,11 +251,13 @@ def train(
     """
     changes = dict(options or {}) | ({} if episodes is None else {"n_episodes": episodes})
     config = preset(task, method, recipe, changes, seed=seed)
+    tell_of_unread(config)
     folder, stopped = Path(out) if out is not None else usual_folder(config), False
 
     def watch(row: dict[str, float]) -> bool:
         nonlocal stopped
-        stopped = on_evaluation is not None and on_evaluation(row) is False
+        goes_on = None if on_evaluation is None else on_evaluation(row)
+        stopped = goes_on is not None and not goes_on
         return not stopped
 
     run_training(config, folder, restart, execution=Execution(device, compiled), on_evaluation=watch)

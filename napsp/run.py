@@ -31,13 +31,13 @@ from napsp.settings import as_flags
 from napsp.storage.checkpoint import save_model, sizes_of
 from napsp.storage.files import sound
 from napsp.storage.progress import Progress, Row, read_rows
-from napsp.storage.record import RECORD_FILE, write_record
+from napsp.storage.record import CURVE_FILE, RECORD_FILE, write_record
 from napsp.storage.resume import FIX, begun, explorers_of, read_training, restore_training, warmup_episodes
 from napsp.storage.revision import git_revision
 from napsp.storage.segments import remove_segments
 from napsp.storage.shipped import MODEL_FILE
 from napsp.storage.state import STATE_FILE, TrainingState, warmup_of
-from napsp.storage.trackers import open_trackers, require
+from napsp.storage.trackers import forget, open_trackers, require
 
 EVALUATION_SEED = 10_000_000  # the same evaluation goals for every method and seed
 
@@ -62,6 +62,7 @@ class Run:
     interruption: Interruption
     on_evaluation: Callable[[Row], Any] | None = None
     _previous_precision: str = "highest"
+    _saved_at: int = -1
 
     @classmethod
     def open(
@@ -86,15 +87,19 @@ class Run:
         warmup = warmup_episodes(folder, saved, config) if saved else None
         learner = new_learner(config, envs, warmup, execution)
         if restart:  # not before all settings have proved possible
-            for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, "metrics.csv"):
+            for name in (STATE_FILE, MODEL_FILE, RECORD_FILE, CURVE_FILE, "metrics.csv"):
                 (folder / name).unlink(missing_ok=True)
             remove_segments(folder)
+            forget(folder)
         iteration, rows, seconds, revisions = 0, [], 0.0, [git_revision()]
         if saved:
             iteration = restore_training(folder, learner, saved)
             rows = read_rows(folder / "metrics.csv", learner.buffer.n_seen)
             seconds = saved[1]["seconds"]
             revisions = list(dict.fromkeys([*saved[1]["revisions"], *revisions]))
+            if iteration > config.n_iterations:
+                raise UserError(f"{folder} has {learner.buffer.n_seen} episodes already; ask for as many with "
+                                "--n-episodes, or choose another --out")  # fmt: skip
             print(f"continuing {folder} at episode {learner.buffer.n_seen}")
         explorers = None
         if config.jointly and config.graph.every and learner.graph is None:
@@ -126,17 +131,13 @@ class Run:
             explorers,
             Interruption(),
         )
-        if iteration < run.n_iterations:
-            (folder / RECORD_FILE).unlink(missing_ok=True)  # it belongs to a shorter run
+        if iteration < config.n_iterations:
+            for name in (RECORD_FILE, CURVE_FILE):  # they belong to a shorter run
+                (folder / name).unlink(missing_ok=True)
+        run._saved_at = learner.buffer.n_seen if saved else -1
         run._previous_precision = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision(config.matmul_precision)
         return run
-
-    @property
-    def n_iterations(self) -> int:
-        """Iterations of Algorithm 1, I."""
-        config = self.config
-        return max(0, -(-(config.n_episodes - config.n_warmup) // config.episodes_per_iteration))
 
     def collect(self, policy: Any) -> Episodes:
         """Algorithm 1, line 3: roll the exploring policy once in every environment."""
@@ -154,20 +155,26 @@ class Run:
         config, done = self.config, self.learner.buffer.n_seen
         seconds = self.seconds_before + time.monotonic() - self.started
         session = (time.monotonic() - self.started) / max(1, iteration + 1 - self.iteration)
-        seconds_left = session * (self.n_iterations - iteration - 1)
+        seconds_left = session * (config.n_iterations - iteration - 1)
         self.progress.tick(done, config.n_episodes, seconds_left)
-        last = iteration == self.n_iterations - 1
+        last = iteration == config.n_iterations - 1
         due = done // config.evaluate.every > (done - config.episodes_per_iteration) // config.evaluate.every
         if due or last:
-            timing = {"seconds": seconds, "steps_per_second": self.learner.buffer.n_steps / seconds}
-            timing |= {"minutes_left": seconds_left / 60}
-            row: Row = {"episodes": float(done), **self._evaluate(), **metrics, **self._blow_ups(), **timing}
-            self.progress.report(row)
-            if self.on_evaluation is not None and self.on_evaluation(row) is False:
-                self.interruption.asked = True
+            self._report(metrics, seconds, seconds_left)
         if due or last or self.interrupted:
             self._save(iteration + 1, seconds)
         return self.interrupted
+
+    def _report(self, metrics: Row, seconds: float, seconds_left: float) -> None:
+        """Evaluate, and write a row."""
+        timing = {"seconds": seconds, "steps_per_second": self.learner.buffer.n_steps / seconds}
+        timing |= {"minutes_left": seconds_left / 60}
+        done = float(self.learner.buffer.n_seen)
+        row: Row = {"episodes": done, **self._evaluate(), **metrics, **self._blow_ups(), **timing}
+        self.progress.report(row)
+        goes_on = self.on_evaluation(row) if self.on_evaluation is not None else None
+        if goes_on is not None and not goes_on:
+            self.interruption.asked = True
 
     def _evaluate(self) -> Row:
         config, actor = self.config, GreedyPolicy(self.learner.agent.trusted)
@@ -203,6 +210,7 @@ class Run:
     def _save(self, iteration: int, seconds: float) -> None:
         places = self.explorers.states() if self.explorers else []
         self.state.save(self.learner, iteration, seconds, self.revisions, places)
+        self._saved_at = self.learner.buffer.n_seen
         self._save_model()
 
     def _save_model(self) -> None:
@@ -228,23 +236,32 @@ class Run:
         for env in [*self.envs, *(self.explorers.worlds if self.explorers else [])]:
             env.close()
         if self.interrupted:
-            print(f"saved in {self.folder}; the same command continues it")
+            done = self.learner.buffer.n_seen
+            print(f"saved in {self.folder}; the same command continues it" if self._saved_at == done else
+                  f"what came last was not saved; {how_it_goes_on(self.folder)}")  # fmt: skip
 
     def record(self) -> None:
         """Write what describes the finished run, once."""
         if self.interrupted or (self.folder / RECORD_FILE).is_file():
             return
-        if not self.progress.rows:
+        config, done, rows = self.config, self.learner.buffer.n_seen, self.progress.rows
+        if not rows and done // config.evaluate.every > config.n_warmup // config.evaluate.every:
             raise UserError(f"{self.folder} has lost the metrics.csv of its finished run; begin anew with --restart")
+        if not rows or rows[-1]["episodes"] < done:  # it was interrupted, and ends where it was
+            self._report({}, self.seconds_before, 0.0)
         self._save_model()  # a kill after the last state may have left the one before
         write_record(self.folder, self.config, self.progress.rows, self.revisions)
+
+
+def how_it_goes_on(folder: Path) -> str:
+    """What the same command would do, in words."""
+    return f"the same command {'continues from the last save' if (folder / STATE_FILE).is_file() else 'begins anew'}"
 
 
 def new_learner(
     config: TrainConfig, envs: list[Any], warmup: Episodes | None = None, execution: Execution | None = None
 ) -> Learner:
     """The learner before iteration 0; collects the warm-up episodes unless they are given."""
-    torch.manual_seed(config.seed)  # initial weights
     rng, generator = np.random.default_rng(config.seed), torch.Generator().manual_seed(config.seed)
     check_resolution(envs[0], config.env, envs[0].reset(seed=config.seed)[0])
     if config.explore.held_starts and not getattr(envs[0].unwrapped, "grasps", False):
@@ -255,7 +272,9 @@ def new_learner(
             raise UserError(f"no episode of {config.env} lasts a step: its simulation blows up; correct its dynamics")
     envs[0].reset(seed=config.seed)
     used = None if is_goal_task(envs[0]) else used_actions(envs[0].unwrapped)
-    return build_learner(config, sizes_of(envs[0]), warmup, sparse_reward(envs[0]), rng, generator, execution, used)
+    with torch.random.fork_rng(devices=[]):  # the caller's own numbers stay as they were
+        torch.manual_seed(config.seed)  # initial weights
+        return build_learner(config, sizes_of(envs[0]), warmup, sparse_reward(envs[0]), rng, generator, execution, used)
 
 
 def warm_up(envs: list[Any], config: TrainConfig, rng: np.random.Generator, generator: torch.Generator) -> Episodes:

@@ -1,6 +1,6 @@
 """What all configurations share: nested frozen dataclasses of plain values, addressed by dotted names.
 
-A dotted name such as ``counts.goal_bits`` is an option on the command line (``--counts.goal-bits``), a key in a task's
+A dotted name such as ``counts.pair_bits`` is an option on the command line (``--counts.pair-bits``), a key in a task's
 card and a line of what makes a result differ from the defaults. A configuration is its own identity: two are the same
 question if they differ from the defaults in the same values, so an option that is added later, with a default that
 leaves things as they were, changes the identity of nothing that exists.
@@ -12,7 +12,12 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from functools import cache
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from napsp.errors import UserError, choose, close
 
@@ -68,9 +73,10 @@ def changed(config: C, changes: Mapping[str, Any]) -> C:
     """A copy of a configuration with other values, by dotted names.
 
     Raises:
-        UserError: there is no option of a name, or a value is out of its range.
+        UserError: there is no option of a name, or a value is of another kind or out of its range.
     """
     own: dict[str, Any] = {}
+    kinds = _kinds(type(config))
     for name, value in changes.items():
         head, _, rest = name.partition(".")
         known = {field.name for field in dataclasses.fields(config)}  # type: ignore[arg-type]
@@ -81,12 +87,50 @@ def changed(config: C, changes: Mapping[str, Any]) -> C:
         own.setdefault(head, {})
         own[head] = {**own[head], rest: value} if rest else value
     for head, value in own.items():
-        if dataclasses.is_dataclass(getattr(config, head)) and isinstance(value, Mapping):
-            own[head] = changed(getattr(config, head), value)
-    try:
-        return dataclasses.replace(config, **own)  # type: ignore[type-var]
-    except TypeError as error:
-        raise UserError(f"a value does not fit its option ({error})") from None
+        group = getattr(config, head)
+        nested = dataclasses.is_dataclass(group) and isinstance(value, Mapping)
+        own[head] = changed(group, value) if nested else _of_kind(head, value, kinds[head])
+    return dataclasses.replace(config, **own)  # type: ignore[type-var]
+
+
+@cache
+def _kinds(config: type) -> dict[str, Any]:
+    """The annotations of a configuration; reports ask thousands of times."""
+    return get_type_hints(config)
+
+
+def _of_kind(name: str, value: Any, kind: Any) -> Any:
+    """The value of an option as its field holds it: numpy's numbers as Python's, lists as tuples, 64.0 as 64.
+
+    Raises:
+        UserError: it is of another kind, or none of the words it may be.
+    """
+    value = value.item() if isinstance(value, np.generic) else value
+    value = tuple(value) if isinstance(value, list) else value
+    if isinstance(value, float) and value.is_integer() and not _fits(value, kind) and _fits(int(value), kind):
+        value = int(value)
+    if _fits(value, kind):
+        return value
+    if get_origin(kind) is Literal and isinstance(value, str):
+        raise UserError(f"unknown {name} {value!r}; {choose(value, get_args(kind))}")
+    shown = kind.__name__ if isinstance(kind, type) and not get_args(kind) else str(kind).replace("typing.", "")
+    raise UserError(f"{name} is {value!r}; it must be of kind {shown}")
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value is of the kind that an annotation of our configurations names; a bool is no number."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        return any(_fits(value, one) for one in inner)
+    if origin is Literal:
+        return value in inner
+    if origin is tuple:
+        return isinstance(value, tuple) and all(_fits(part, inner[0]) for part in value)
+    if isinstance(kind, TypeVar):
+        return dataclasses.is_dataclass(value)
+    if kind in (int, float) and isinstance(value, bool):
+        return False
+    return isinstance(value, {float: int | float, Path: str | Path}.get(kind, kind))
 
 
 def differences(config: Any, default: Any) -> dict[str, Any]:

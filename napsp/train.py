@@ -21,14 +21,14 @@ from napsp.envs.goal_task import saves_its_state
 from napsp.errors import run_command
 from napsp.execution import Execution
 from napsp.renamed import FLAGS
-from napsp.run import Run
+from napsp.run import Run, how_it_goes_on
 from napsp.settings import flat, refuse_old_flags, to_dict
 from napsp.storage.checkpoint import load_model
 from napsp.storage.lock import only_writer
 from napsp.storage.progress import Row
 from napsp.storage.record import RECORD_FILE
-from napsp.storage.state import STATE_FILE
 from napsp.storage.trackers import TRACKERS
+from napsp.unread import tell_of_unread
 
 
 def train(
@@ -60,13 +60,12 @@ def _train(
     try:
         run = Run.open(config, folder, restart, trackers, execution)
     except KeyboardInterrupt:
-        goes_on = "continues from the last save" if (folder / STATE_FILE).is_file() else "begins anew"
-        print(f"\nnothing was saved in {folder} this time; the same command {goes_on}", flush=True)
+        print(f"\nnothing was saved in {folder} this time; {how_it_goes_on(folder)}", flush=True)
         raise
     run.on_evaluation = on_evaluation
     learner, config = run.learner, run.config
     try:
-        for iteration in range(run.iteration, run.n_iterations):  # Algorithm 1, line 1
+        for iteration in range(run.iteration, config.n_iterations):  # Algorithm 1, line 1
             recent = run.collect(learner.agent.policy)  # 3: D_last
             learner.counts.update(recent)  # 4
             metrics: Row = {}
@@ -82,9 +81,9 @@ def _train(
             learner.extend_buffer(recent)  # 22
             if run.finish_iteration(iteration, metrics):
                 break
+        run.record()
     finally:
         run.close()
-    run.record()
     return run.progress.rows
 
 
@@ -144,6 +143,7 @@ def usual_folder(config: TrainConfig) -> Path:
 def main() -> int:
     """Run the command."""
     config, options, execution = parse(sys.argv[1:])
+    tell_of_unread(config)
     folder = options.out or usual_folder(config)
     print(f"{config.env}: {config.method}, seed {config.seed}, {config.n_episodes} episodes -> {folder}")
     others = [name for name in recipes(config.env) if name != PAPER]

@@ -93,6 +93,9 @@ class Smoother:
     def reset(self):
         self.log.append(("smoother.reset",))
 
+    def skip(self, steps):
+        self.log.append(("smoother.skip", steps))
+
     def __call__(self, state, observation, actions, executed):
         self.log.append(("smooth", state, observation, actions, executed))
         return self.answers.pop(0)

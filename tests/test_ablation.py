@@ -51,3 +51,12 @@ def test_runs_become_rows_of_the_table(tmp_path, monkeypatch):
     assert row.startswith(f"| fetch_wall | {WHOLE} | 1 | {sum(last) / len(last):.2f} |")
     assert [line for line in lines if line.startswith("| fetch_wall | third layer | 1 |")]
     assert [line for line in lines if line.startswith("| fetch_wall | relative errors | not run |")]
+
+
+@pytest.mark.parametrize("name", ["fetch_pick_and_place", "napsp/FetchPickPlace-v0"])
+def test_parts_are_those_of_the_task_by_whatever_name(name, monkeypatch):
+    asked = []
+    monkeypatch.setattr(ablation, "published", lambda config: asked.append(config) or True)
+    monkeypatch.setattr("sys.argv", ["ablation", "--env", name, "--seeds", "1"])
+    assert ablation.main() == 0
+    assert [config.env for config in asked] == ["fetch_pick_place"] * len(removals("fetch_pick_place"))

@@ -101,6 +101,7 @@ def test_ray_trains_the_same_cells(workplace):
 
 def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(smoothing, "RESULTS", tmp_path)
+    monkeypatch.setattr(cells, "RUNS", tmp_path / "runs")
     monkeypatch.setattr("napsp.envs.episode_length", lambda name: 4)
     arguments = ["--env", "point_maze", "--episodes", "2", "--variants", "plain", "smoothed", "low-pass 0.6"]
     monkeypatch.setattr(sys, "argv", ["smoothing", *arguments])
@@ -109,7 +110,7 @@ def test_smoothing_runs_each_cell_once_and_draws(tmp_path, monkeypatch, capsys):
     assert [row["variant"] for row in rows] == ["plain", "smoothed", "low-pass 0.6"]
     assert [row["first_hits"] for row in rows] == ["- -"] * 3 and rows[1]["calls"] == "8" and not rows[0]["calls"]
     assert "accepted" in capsys.readouterr().out
-    assert (tmp_path / "smoothing_point_maze_mppi.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "runs" / "smoothing_point_maze_mppi.png").read_bytes()[:4] == b"\x89PNG"
     monkeypatch.setattr(smoothing, "run_cell", lambda *_: pytest.fail("a finished cell was run again"))
     assert smoothing.main() == 0
 
@@ -272,7 +273,7 @@ def test_the_sweep_asks_for_recipe_labels_and_execution(monkeypatch):
 
 def append_rows(path, name):
     for i in range(30):
-        cells.append_result(path, {"name": name, "i": i})
+        cells.add_result(path, {"name": name, "i": i}, {})
 
 
 def test_processes_that_append_at_once_lose_no_row(tmp_path, monkeypatch):

@@ -11,7 +11,8 @@ from gymnasium import spaces
 from napsp import envs
 from napsp.data.collect import roll
 from napsp.data.episodes import BLOWN, CUT
-from napsp.envs.check import check_finite, check_task
+from napsp.envs.attempts import check_finite
+from napsp.envs.check import check_task
 from napsp.envs.open_loop import OpenLoopEnv
 from napsp.envs.point_maze import PointMazeEnv
 from napsp.errors import UserError
@@ -84,7 +85,7 @@ def test_tasks_that_keep_the_contract_pass_without_a_word():
             r"reset of task can not be called as Gymnasium does .*take seed=None and options=None",
         ),
         ({"reset": lambda seed=None: ({}, {})}, "got an unexpected keyword argument 'options'"),
-        ({"reset": raising}, r"reset\(seed=0\) of task failed with RuntimeError: out of order"),
+        ({"reset": raising}, r"reset\(seed=0, options=None\) of task failed with RuntimeError: out of order"),
         ({"reset": lambda seed, options: {"observation": 3.0}}, "must return a tuple of observation and info"),
         ({"reset": lambda seed, options: ({"observation": 3.0}, {})}, "observes observation as float; give an array"),
         ({"step": lambda action: ({}, 0.0, False, {})}, "observation, reward, terminated, truncated and info"),

@@ -139,3 +139,12 @@ def test_a_smoother_sees_the_last_two_actions_the_latest_last():
     seen = [executed[:, 0] for _, _, _, executed in calls(log, "smooth")]
     for found, expected in zip(seen, ([], [0.1], [0.1, 0.2], [0.2, 0.3]), strict=True):
         np.testing.assert_array_equal(found, np.float32(expected))
+
+
+def test_a_smoother_is_told_what_was_really_executed_and_how_many_steps_went_by():
+    controller, log = recorded(answers=[Smoothed(SMOOTH, 1.0, True), Smoothed(SMOOTH, 1.0, False)])
+    plan(controller)
+    controller.skip(2)
+    controller.plan_from(STATE, OBSERVATION, np.float32([[0.5], [0.9]]))
+    assert calls(log, "smoother.skip") == [(2,)]
+    assert [executed.tolist() for *_, executed in calls(log, "smooth")] == [[], np.float32([[0.5], [0.9]]).tolist()]

@@ -22,6 +22,7 @@ from napsp.learner import Learner, scaling_of
 from napsp.policy.agent import PolicyBatch
 from napsp.policy.her import HERConfig, sample_relabelled
 from napsp.scaling import Scaling
+from napsp.storage.files import checksum_of, write_tensors
 
 LENGTHS, ENDINGS = np.array([6, 2, 1, 0, 4]), np.array([CUT, ARRIVED, LOST, BLOWN, CUT], np.uint8)
 NAN = np.float32(np.nan)
@@ -198,6 +199,14 @@ def test_nothing_is_learned_of_iterations_in_which_everything_blew_up_at_once():
     nothing = concatenate([uneven()[3:4]] * 2)
     learner = Learner(tiny(), None, None, None, EpisodeBuffer(), reward, np.random.default_rng(0), torch.Generator())
     assert nothing.n_steps == 0 and learner.train_triangular(nothing) == {}
+    learner.buffer.extend(nothing)  # all that --replay-capacity left
+    assert learner.train_policy() == learner.train_jointly() == {}
+
+
+def test_counts_of_nothing_are_saved(tmp_path):
+    strided = np.zeros((3, 2), np.int64)[:0, 0]
+    write_tensors(tmp_path / "counts", {"keys": torch.from_numpy(strided)}, {})
+    assert len(checksum_of({"keys": torch.from_numpy(strided)}, "")) == 64
 
 
 def right(observations, goals):

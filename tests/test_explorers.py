@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from gymnasium.wrappers import TimeLimit
+from line import Line
 from tiny import learned, tiny
 
 from napsp import envs as tasks
@@ -47,6 +49,19 @@ def test_an_explorer_restored_goes_on_to_the_bit(env):
             np.testing.assert_array_equal(found[name], expected[name])
 
 
+class Named(Line):
+    """An environment of the user's own with a member that our tasks have as well."""
+
+    dynamics = "single integrator"
+
+
+def test_a_name_in_common_does_not_make_a_world_one_of_mujocos():
+    world = Ongoing(TimeLimit(Named(), 8), 100)
+    world.reset(seed=0)
+    world.step(np.ones(1, np.float32))
+    assert world.last is not None and set(world.state()) == {"n_episodes"}
+
+
 def more(subject, n):
     """Any n episodes."""
     return concatenate([subject.buffer.episodes()[:1]] * n)
@@ -70,7 +85,15 @@ def test_walkers_walk_and_seekers_follow_the_policy_for_half_an_episode():
 
 @pytest.mark.parametrize(
     ("n", "share", "expected"),
-    [(4, 0.5, [2, 2, 2]), (4, 0.25, [1, 1, 1]), (4, 0.125, [0, 1, 0]), (8, 0.5, [4, 4, 4]), (4, 1.0, [4, 4, 4])],
+    [
+        (4, 0.5, [2, 2, 2]),
+        (4, 0.25, [1, 1, 1]),
+        (4, 0.125, [0, 1, 0]),
+        (8, 0.5, [4, 4, 4]),
+        (4, 1.0, [4, 4, 4]),
+        (10, 0.7, [7] * 10),
+        (20, 0.35, [7] * 5),
+    ],  # 90 * 0.7 is 62.99 in floating point
 )
 def test_explorers_are_as_many_as_their_share(n, share, expected):
     config = tiny(method="plus", episodes_per_iteration=n, n_episodes=100, **{"explore.explorers": share})

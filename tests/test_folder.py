@@ -43,6 +43,30 @@ def test_the_same_options_replace_their_results_and_say_so(tmp_path, capsys):
     assert not (tmp_path / "video.mp4").exists(), "it would look like this run's"
 
 
+def test_how_long_a_goal_has_to_be_held_is_an_option_of_the_results(tmp_path):
+    plan(tmp_path)
+    with pytest.raises(UserError, match=r"other options \(hold\)"):
+        plan(tmp_path, "--hold", "0")
+    owner = json.loads((tmp_path / OWNER).read_text())
+    del owner["hold"]  # as folders of before
+    (tmp_path / OWNER).write_text(json.dumps(owner))
+    assert plan(tmp_path, "--hold", "0") == 0
+
+
+def test_results_stay_until_there_is_a_first_one_to_take_their_place(tmp_path, monkeypatch):
+    plan(tmp_path)
+    (tmp_path / "video.mp4").write_bytes(b"of the first run")
+    before = content(tmp_path)
+    monkeypatch.setattr("planners.app.session.Session.run_episode", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        plan(tmp_path)
+    assert content(tmp_path) == before
+
+
+def interrupted(*args, **kwargs):
+    raise KeyboardInterrupt
+
+
 def test_a_folder_of_before_belongs_to_what_its_summary_says(tmp_path):
     plan(tmp_path)
     (tmp_path / OWNER).unlink()

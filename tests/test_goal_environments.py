@@ -137,6 +137,27 @@ def test_dense_rewards_need_a_success_test_by_radius_or_function():
             make_goal_task(name, reached)
 
 
+class Never(Line):
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        return np.full(np.shape(achieved_goal)[:-1], -1.0)
+
+
+class Close(Ones):
+    """Begins at its goal, where every sampled pair is a success."""
+
+    def __init__(self):
+        super().__init__(goal=0.0)
+
+    def step(self, action):
+        return super().step(np.zeros_like(action))
+
+
+def test_a_reward_that_tells_nothing_apart_is_no_success_test():
+    with pytest.raises(UserError, match="gives -1 wherever one is; name a success test"):
+        make_goal_task(f"{__name__}:Never")
+    make_goal_task(f"{__name__}:Close").close()
+
+
 def test_the_whole_box_of_actions_is_used_and_scaled_once():
     env = far_from("Lopsided")
     assert env.action_space == spaces.Box(-1.0, 1.0, (1,), np.float32)

@@ -1,5 +1,6 @@
 """The package as a library: distances of any shape and kind, training with a callback, lazy imports."""
 
+import json
 import os
 import subprocess
 import sys
@@ -128,6 +129,59 @@ def test_it_says_what_it_is_and_whose(distance):
         napsp.load("fetch_wall", "claw")
 
 
+def test_whatever_is_a_tensor_carries_gradients_and_numpy_may_lie_in_any_order(distance):
+    s, a, g = points(3)
+    goal = torch.tensor(g, dtype=torch.float32, requires_grad=True)
+    distance(s, a, goal).sum().backward()
+    np.testing.assert_allclose(goal.grad, distance.gradient(s, a, g).goal, rtol=1e-3, atol=1e-3)
+    with torch.no_grad():
+        assert not distance(torch.tensor(s), torch.tensor(a), goal).requires_grad
+    backwards = distance(s[::-1], a[::-1], g[::-1])
+    np.testing.assert_array_equal(backwards, distance(s[::-1].copy(), a[::-1].copy(), g[::-1].copy()))
+    assert distance(s, a, np.broadcast_to(g[0], g.shape)).shape == (3,)  # read-only; warnings are errors
+
+
+def test_training_leaves_the_callers_random_numbers_alone(tmp_path):
+    torch.manual_seed(3)
+    wanted = torch.rand(2)
+    torch.manual_seed(3)
+    train_command(tiny(n_episodes=6), tmp_path)
+    assert torch.equal(torch.rand(2), wanted)
+
+
+def test_tasks_take_the_options_of_their_classes():
+    for name, options in (
+        ("FetchPush-v4", {"reward_type": "dense"}),
+        ("PointMaze_UMaze-v3", {"continuing_task": True}),
+    ):
+        env = napsp.make(name, **options)
+        assert set(env.reset(seed=0)[0]) == {"observation", "achieved_goal", "desired_goal"}
+        env.close()
+
+
+def test_of_a_model_whose_task_is_not_at_hand_it_is_said(tmp_path, monkeypatch):
+    (tmp_path / "elsewhere_only.py").write_text(
+        (Path(__file__).parent / "line.py").read_text().replace("goal=3.0", "goal=2.0")
+    )
+    with monkeypatch.context() as there:
+        there.syspath_prepend(tmp_path)
+        train_command(tiny("elsewhere_only:Line", n_episodes=6), tmp_path / "run")
+        del sys.modules["elsewhere_only"]
+    with pytest.raises(UserError, match=r"cannot load elsewhere_only:Line .*start the command in the folder") as error:
+        napsp.load(tmp_path / "run")
+    assert "retrain" not in str(error.value)
+
+
+def test_the_task_of_a_checkpoint_is_the_default_of_the_command(monkeypatch, capsys, tmp_path):
+    words = ["--checkpoint", "point_maze_plus", "--episodes", "1", "--out", str(tmp_path / "a.json")]
+    monkeypatch.setattr("sys.argv", ["evaluate", *words])
+    assert evaluate_command.main() == 0
+    assert "policy on point_maze: success" in capsys.readouterr().out
+    assert "mean_final_gap_m" in json.loads((tmp_path / "a.json").read_text())
+    monkeypatch.setattr("sys.argv", ["evaluate", "--env", "claw", "--episodes", "1", "--out", str(tmp_path / "b.json")])
+    assert evaluate_command.main() == 0 and "mean_final_gap_deg" in json.loads((tmp_path / "b.json").read_text())
+
+
 def test_the_policys_success_is_that_of_the_command(monkeypatch, capsys):
     found = napsp.evaluate(napsp.load("fetch_reach"), episodes=3, seed=5)
     monkeypatch.setattr("sys.argv", ["evaluate", "--env", "fetch_reach", "--episodes", "3", "--seed", "5"])
@@ -155,7 +209,8 @@ def test_training_calls_back_stops_and_goes_on_to_what_the_command_gives(tmp_pat
 
 
 def test_a_sparse_model_acts_but_has_no_distance(tmp_path):
-    options = {name: value for name, value in TINY.items() if name != "n_episodes"}
+    unread = ("n_episodes", "n_temporal_updates", "n_triangular_updates")
+    options = {name: value for name, value in TINY.items() if name not in unread}
     sparse = napsp.train("point_maze", "sparse", episodes=TINY["n_episodes"], options=options, out=tmp_path)
     observation, goal = np.zeros(sparse.sizes[0]), np.zeros(sparse.sizes[2])
     assert sparse.action(observation, goal).shape == (2,)

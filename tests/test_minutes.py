@@ -82,6 +82,7 @@ def test_stable_baselines3_is_asked_once_more_where_its_minutes_end_between_eval
     assert told == [(2, 1.0)] and model.num_timesteps == 120
 
 
+@pytest.mark.filterwarnings("ignore:method sparse .* does not read")  # of a training made small
 def test_rows_stand_in_the_table_and_are_measured_once(tmp_path, monkeypatch):
     monkeypatch.setattr(minutes, "FILE", tmp_path / "minutes.csv")
     monkeypatch.setattr(minutes, "preset", lambda env, method, recipe, seed=0: tiny(env, method, seed=seed))

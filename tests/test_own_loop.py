@@ -46,6 +46,25 @@ def test_a_reset_with_a_seed_begins_the_same_again(env):
     assert plans[0][0].shape == (3, 2)
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"samples": 0}, "samples is 0"),
+        ({"options": {"search.temperature": -1.0}}, "temperature is -1.0"),
+        ({"options": {"where": "middle"}}, "unknown where 'middle'"),
+        ({"options": {"model.kind": "exct"}}, "unknown kind 'exct'; did you mean exact"),
+        ({"options": {"spline.interpolation": "quintic", "spline.knots": 4}}, "unknown interpolation 'quintic'"),
+        ({"cost": "sparse", "options": {"cost": "euclidean"}}, "cost is no option of a controller"),
+        ({"options": {"env": "claw"}}, "env is no option of a controller"),
+        ({"options": {"smooth": False, "smooth.rtae": 5}}, "no option 'rtae'"),
+        ({"options": {"smooth.rate": 5.0}}, "--smooth.rate needs --smooth"),
+    ],
+)
+def test_options_that_do_not_fit_are_named(env, options, words):
+    with pytest.raises(UserError, match=words):
+        planners.controller("mppi", env, **options)
+
+
 def test_a_function_is_a_cost(env):
     asked = []
 

@@ -85,12 +85,12 @@ def test_what_a_task_decides_is_what_its_controller_searches_with():
 
 def test_none_fits_only_what_a_task_decides():
     assert PlanConfig.of("mppi", {"search.finest": None}) == PlanConfig.of("mppi")
-    with pytest.raises(UserError, match="does not fit"):
+    with pytest.raises(UserError, match="temperature is None; it must be of kind float"):
         PlanConfig.of("mppi", {"search.temperature": None})
 
 
 def test_what_is_off_is_no_difference():
-    quiet, _ = parse("mppi", ["--smooth.rate", "3", "--smooth.multiples", "1", "2"])
+    quiet, _ = parse("mppi", ["--no-smooth", "--smooth.rate", "3", "--smooth.multiples", "1", "2"])
     assert quiet.smooth is None and quiet.identity() == PlanConfig.of("mppi").identity()
     assert PlanConfig.of("mppi", {"smooth": False, "smooth.rate": 3.0}) == PlanConfig.of("mppi")
     loud = PlanConfig.of("mppi", {"smooth": True})
@@ -143,11 +143,11 @@ def test_other_plans_have_another_folder():
 
     usual = folder("mppi")
     assert usual == "plans/fetch_wall-mppi-distance-s90000"
-    assert folder("mppi", "--episodes", "3", "--no-video", "--threads", "1", "--horizon", "5") == usual
+    assert folder("mppi", "--no-video", "--threads", "1", "--horizon", "5") == usual
     assert folder("mppi", "--env", "point_maze", "--cost", "sparse", "--seed", "7") == "plans/point_maze-mppi-sparse-s7"
     others = [["--samples", "32"], ["--search.temperature", "0.1"], ["--smooth"], ["--checkpoint", "a"],
               ["--checkpoint", "b"], ["--distance.ensemble", "a"], ["--distance.ensemble", "b"], ["--where", "both"],
-              ["--goal", "1", "1", "1"]]  # fmt: skip
+              ["--goal", "1", "1", "1"], ["--episodes", "3"], ["--hold", "0"]]  # fmt: skip
     names = [folder("mppi", *other) for other in others]
     assert len({usual, *names}) == 1 + len(others) and all(name.startswith(usual + "-") for name in names)
     assert folder("smooth") == "plans/fetch_wall-smooth-distance-s90000"

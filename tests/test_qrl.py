@@ -85,7 +85,8 @@ def test_on_a_corridor_it_finds_the_distances_and_the_way():
         places[:, t + 1] = np.clip(places[:, t] + actions[:, t], 0, 20)
     episodes = Episodes(places, places.copy(), actions, places[rng.permutation(40), -1])
     changes = {"hidden": (64, 64), "n_policy_updates": 400, "batch_size": 128, "graph.every": 0,
-               "distance.learning_rate": 1e-3, "policy.learning_rate": 1e-3}  # fmt: skip
+               "distance.learning_rate": 1e-3, "policy.learning_rate": 1e-3, "qrl.multiplier": 3.0,
+               "qrl.multiplier_learning_rate": 0.1}  # of 400 updates  # fmt: skip
     config = preset("fetch_wall", "qrl", changes=changes)
     torch.manual_seed(0)
     at_goal = lambda achieved, goals: -(np.abs(achieved - goals)[:, 0] > 0.5).astype(np.float32)  # noqa: E731

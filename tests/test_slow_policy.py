@@ -22,7 +22,7 @@ def test_the_slow_policy_is_the_one_evaluated_and_saved(tmp_path, monkeypatch, e
         agent = run.learner.agent
         for network, value in ((agent.policy, 0.25), (agent.target_policy, 0.5)):
             torch.nn.init.constant_(list(network.parameters())[-1], value)
-        run.finish_iteration(run.n_iterations - 1, {})
+        run.finish_iteration(run.config.n_iterations - 1, {})
     finally:
         run.close()
     used = agent.target_policy if slow else agent.policy

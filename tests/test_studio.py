@@ -156,7 +156,7 @@ def test_a_plan_beside_the_simulation_is_moved_on_to_its_control_step_and_runs_o
     planner.shift = lambda matrix: (shifts.append(1), own(matrix))
     newest = NewestPlan(session.controller)
     for number in (0, 4):
-        newest.offer(number, get_state(world.model, world.data), observation)
+        newest.offer(number, get_state(world.model, world.data), observation, np.zeros((0, 2), np.float32))
         until(lambda number=number: newest.newest is not None and newest.newest.job.number == number)
     planned = newest.newest
     newest.close()

@@ -16,6 +16,7 @@ from benchmarks.tables_glance import glance_rows, glance_table, planned_rows, pl
 from benchmarks.tables_minutes import minutes_rows, minutes_table
 from benchmarks.tables_plus import ablation_rows, ablation_table
 from benchmarks.tables_realtime import realtime_rows, realtime_table
+from benchmarks.tables_revisions import revised_rows, revisions_table
 from benchmarks.tables_summary import summary_rows, summary_table
 
 Rows = Callable[[], Iterable[Mapping[str, Any]]]
@@ -143,6 +144,9 @@ ORIGINS: dict[Table, Origin] = {
     ),
     speed.learner_table: Origin(
         "python -m benchmarks.learner_speed", f"results/{speed.LEARNER}", lambda: speed.json_rows(speed.LEARNER)
+    ),
+    revisions_table: Origin(
+        "git log", "results", lambda: [row for rows in revised_rows().values() for row in rows]
     ),
 }  # fmt: skip
 """Of every table of results."""

@@ -21,7 +21,7 @@ from napsp.envs.cards import suite
 
 CAPTIONS = {
     "figure5": "Maximum reward, merging and relaxation rates on pick and place (python -m benchmarks.curves)",
-    "smoothing_frontier": "Success against action rate, smoothed and filtered (python -m benchmarks.smoothing)",
+    "smoothing_frontier": "Steps to the goal over action rate, smoothed and filtered (python -m benchmarks.smoothing)",
 }
 """Of figures that belong to no table; others are called as their files are."""
 FEW = 4  # revisions that are named at once

@@ -70,6 +70,11 @@ class Smoother:
         self._last: np.ndarray | None = None
         self._last_is_smooth = False
 
+    def skip(self, steps: int) -> None:
+        """Move the last plan on by ``steps`` control steps that went by unplanned."""
+        if self._last is not None and steps:
+            self._last = _later(self._last, steps)
+
     def __call__(
         self, state: State, observation: dict[str, np.ndarray], actions: np.ndarray, executed: np.ndarray
     ) -> Smoothed:
@@ -103,7 +108,7 @@ class Smoother:
         """
         plans, kept = sampled[None], False
         if self._last is not None:
-            held = np.concatenate([self._last[1:], self._last[-1:]])
+            held = _later(self._last, 1)
             plans = np.stack([sampled, held, 0.5 * (sampled + held)])
             kept = self._last_is_smooth and np.array_equal(sampled, held)
         costs = self._true_costs(state, observation, plans)
@@ -191,6 +196,11 @@ class Smoother:
             matrix, gradient, np.concatenate(points, 1).astype(float), np.concatenate(slopes, 1), self._weights,
             lower.ravel().astype(float), upper.ravel().astype(float),
         )  # fmt: skip
+
+
+def _later(plan: np.ndarray, steps: int) -> np.ndarray:
+    """A plan ``(H, A)`` read some steps later; past its end its last action is held."""
+    return plan[np.minimum(np.arange(len(plan)) + steps, len(plan) - 1)]
 
 
 @dataclass

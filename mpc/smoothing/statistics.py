@@ -28,7 +28,8 @@ class SmoothingStatistics:
     def summary(self) -> dict[str, float]:
         """Shares and medians, for ``summary.json``."""
         parts = {name: getattr(self, name) for name in ("linearise_ms", "solve_ms", "verify_ms")}
-        drop = np.subtract(self.before, self.after)
+        before, after = np.array(self.before), np.array(self.after)
+        finite = np.isfinite(before) & np.isfinite(after)
         return {
             "calls": self.n_calls,
             "accepted": self.n_accepted,
@@ -36,7 +37,7 @@ class SmoothingStatistics:
             "kept_share": self.n_kept / max(self.n_calls, 1),
             "risen": self.n_risen,
             "solver_failures": self.n_solver_failures,
-            "mean_cost_drop": float(drop[np.isfinite(drop)].mean()) if np.isfinite(drop).any() else 0.0,
+            "mean_cost_drop": float((before - after)[finite].mean()) if finite.any() else 0.0,
             "build_ms": self.build_ms,
             **{name: float(np.median(values)) if values else 0.0 for name, values in parts.items()},
         }

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from napsp.data.episodes import BLOWN, FIELDS, LOST, Episodes, SparseReward, draw_steps
+from napsp.data.episodes import BLOWN, FIELDS, Episodes, SparseReward, draw_steps
 
 
 @dataclass(frozen=True)
@@ -138,5 +138,5 @@ def sample_triples(recent: Episodes, everything: Episodes, n: int, rng: np.rando
         waypoints=everything.observations[other, j],
         waypoint_actions=everything.actions[other, j],
         waypoint_goals=everything.achieved_goals[other, j],
-        lost=(recent.endings[episode] == LOST) & (i + 1 == recent.lengths[episode]),
+        lost=recent.lost(episode, i),
     )

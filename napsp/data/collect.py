@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from napsp.data.episodes import ARRIVED, BLOWN, CUT, LOST, Episodes
+from napsp.envs.attempts import check_finite
 from napsp.envs.blowups import BlowUpDetector
-from napsp.envs.check import check_finite
 from napsp.policy.actors import Policy
 from napsp.settings import MANY, check_ranges
 

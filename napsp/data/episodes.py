@@ -63,6 +63,15 @@ class Episodes:
         """Steps of all episodes."""
         return int(self.lengths.sum())
 
+    @property
+    def arriving_ends(self) -> bool:
+        """Whether any was terminated at its desired goal: others would have been at theirs."""
+        return bool((self.endings == ARRIVED).any())
+
+    def lost(self, episode: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Whether steps t of episodes, both ``(n,)``, are the last before a loss, bool ``(n,)``."""
+        return (self.endings[episode] == LOST) & (t + 1 == self.lengths[episode])
+
     def happened(self) -> np.ndarray:
         """Which steps there were, bool ``(E, T)``."""
         return np.arange(self.actions.shape[1]) < self.lengths[:, None]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import gymnasium
 import numpy as np
 
+from napsp import envs as tasks
 from napsp.config import TrainConfig
 from napsp.data.collect import Actor, ExplorationConfig, ExploringActor
 from napsp.envs.blowups import BlowUpDetector
@@ -20,6 +22,11 @@ ROLES = ("walk", "seek")
 """walk: random actions, held for a while. seek: the policy, towards a goal of a random cell, then a random walk."""
 
 
+def exact(share: float) -> Fraction:
+    """A share as it was written: 0.7 of 90 are 63, and not the 62.99 of floating point."""
+    return Fraction(str(float(share)))
+
+
 class Ongoing(gymnasium.Wrapper):
     """An environment whose episodes begin where the last one was cut by its time limit, with a goal of our choice.
 
@@ -27,7 +34,7 @@ class Ongoing(gymnasium.Wrapper):
     worked out anew from the goals that are stored, so the environment itself need not know.
 
     Args:
-        env: a task; one without ``dynamics``, ``model`` and ``data`` begins with a reset after :meth:`restore`.
+        env: a task; one whose state is not MuJoCo's begins with a reset after :meth:`restore`.
         anew: episodes from one reset to the next.
     """
 
@@ -79,7 +86,7 @@ class Ongoing(gymnasium.Wrapper):
         """What :meth:`restore` needs to go on elsewhere."""
         world: Any = self.env.unwrapped
         count = {"n_episodes": np.array(self._n_episodes)}
-        if self.last is None or not hasattr(world, "dynamics"):
+        if self.last is None or tasks.lacks(world):
             return count
         return {**count, "physics": get_state(world.model, world.data), **self.last}
 
@@ -126,7 +133,7 @@ class Explorers:
     @classmethod
     def of(cls, config: TrainConfig) -> Explorers:
         """As a configuration describes them, at least one of each role."""
-        explore, n = config.explore, math.ceil(config.explore.explorers * config.episodes_per_iteration)
+        explore, n = config.explore, math.ceil(exact(config.explore.explorers) * config.episodes_per_iteration)
         worlds = [Ongoing(make_goal_task(config.env, config.reached), explore.anew) for _ in range(max(n, len(ROLES)))]
         return cls(worlds, explore, config.episode_length)
 
@@ -142,7 +149,7 @@ class Explorers:
     def join(self, envs: list[Any], actor: Actor, learner: Learner) -> tuple[list[Any], Actor]:
         """Environments and actor of one iteration."""
         n, n_warmup = len(envs), learner.config.n_warmup
-        done, share = learner.buffer.n_seen - n_warmup, self._config.explorers
+        done, share = learner.buffer.n_seen - n_warmup, exact(self._config.explorers)
         due = range(int(done * share), int((done + n) * share))  # of all explorers' episodes, by number
         rng, graph = learner.rng, learner.graph
         ready = graph is not None and graph.n_cells > 0

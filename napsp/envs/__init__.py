@@ -134,23 +134,23 @@ def make(name: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
     if name in CARDS:
         refuse_test(name, reached)
         return gymnasium.make(CARDS[name].gym_id, **kwargs)
-    load = _loader(name)
+    own = {option: value for option, value in kwargs.items() if option != "render_mode"}
+    load = partial(_loader(name), **own)  # others of its kind, that are not looked at
     env: Any = create(name, **kwargs)
     missing = lacks(env.unwrapped)
     if missing and plans_by_state(env):
         from napsp.envs.saved_task import saved_task
 
-        own = {option: value for option, value in kwargs.items() if option != "render_mode"}
-        env = saved_task(name, unwrapped(name, env, lookers=True), reached, lambda: load(**own).unwrapped)
+        env = saved_task(name, unwrapped(name, env, lookers=True), reached, lambda: load().unwrapped)
         return gymnasium.wrappers.TimeLimit(env, episode_length(name))
     refuse_test(name, reached)
     if missing:
         env.close()
         unwrapped(name, env, lookers=False)
-        env = _adapt(name, env.unwrapped, load, missing, **kwargs)
+        env = _adapt(name, env.unwrapped, load, missing, kwargs.get("render_mode"))
     else:
         env = unwrapped(name, env, lookers=True)
-        if name not in _CHECKED:
+        if (name, repr(own)) not in _CHECKED:
             from napsp.envs.check import check_task
 
             tried = load()  # another one, so that the environment handed out begins as its class made it
@@ -158,11 +158,11 @@ def make(name: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
                 check_task(tried.unwrapped, name)
             finally:
                 tried.close()
-            _CHECKED.add(name)  # once per process: it takes a reset, and training makes several
+            _CHECKED.add((name, repr(own)))  # once per process: it takes a reset, and training makes several
     return gymnasium.wrappers.TimeLimit(env, episode_length(name))
 
 
-_CHECKED: set[str] = set()
+_CHECKED: set[tuple[str, str]] = set()
 REQUIRED = ("dynamics", "model", "data", "reached", "compute_reward", "goal_positions", "goal_radius", "step_length")
 
 
@@ -191,14 +191,14 @@ def refuse_test(name: str, reached: str | None) -> None:
         raise UserError(f"{name} has a success test of its own; leave out --reached")
 
 
-def _adapt(name: str, world: Any, load: Any, missing: list[str], **kwargs: Any) -> gymnasium.Env:
+def _adapt(name: str, world: Any, load: Any, missing: list[str], render_mode: str | None) -> gymnasium.Env:
     """Make a stock robot or maze a task; others have to offer their dynamics or their state themselves."""
     from napsp.envs.adapter import StockTask
     from napsp.envs.saved import PROTOCOL
 
     lacking = [method for method in PROTOCOL if not callable(getattr(world, method, None))]
     try:
-        task = StockTask(lambda **options: load(**options).unwrapped, **kwargs)
+        task = StockTask(lambda **options: load(**options).unwrapped, render_mode)
         task.task_name = name
         return task
     except TypeError:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from numbers import Real
 from typing import Any
 
@@ -12,10 +11,10 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box, Dict
 
+from napsp.envs.attempts import PARTS, check_finite, check_observation, first_observation, stepped, tried
 from napsp.envs.dynamics import get_state
-from napsp.errors import UserError, describe_failure
+from napsp.errors import UserError
 
-PARTS = ("observation", "achieved_goal", "desired_goal")
 DYNAMICS = ("model", "substeps", "n_features", "open_loop", "bind", "control", "observe")
 
 
@@ -36,11 +35,12 @@ def check_task(env: Any, name: str) -> None:
         if not isinstance(value, Real) or not 0 < float(value) < np.inf:
             raise UserError(f"{member} of {name} is {value!r}; give a positive number")
     if isinstance(getattr(env, "camera", None), str):
-        _tried(name, "camera", lambda: env.model.camera(env.camera))
+        tried(name, "camera", lambda: env.model.camera(env.camera))
 
     sizes = {"observation": n_observation, "achieved_goal": n_goal, "desired_goal": n_goal}
-    start = _reset(env, name)
-    _check_observation(start, name, sizes)
+    start = first_observation(env, name)
+    check_observation(start, name, sizes)
+    check_finite(start, name)
     _check_goals(env, name, start)
     _check_dynamics(env, name, sizes)
 
@@ -67,15 +67,15 @@ def _check_dynamics(env: Any, name: str, sizes: dict[str, int]) -> None:
             f"dynamics.control of {name} returns {controls.shape[2]} numbers per action and the model has "
             f"{env.model.nu} actuators; with open_loop they must agree"
         )
-    alone = _tried(name, "dynamics.control", lambda: dynamics.control(actions[:1]))
+    alone = tried(name, "dynamics.control", lambda: dynamics.control(actions[:1]))
     if not np.array_equal(alone[0], controls[1, 0]):
         raise UserError(f"dynamics.control of {name} depends on what else is in the batch; use element-wise arithmetic")
 
-    features = _tried(name, "the simulation of dynamics.bind", lambda: _planned(env, controls[1]))
-    pair = _tried(name, "dynamics.observe", lambda: dynamics.observe(np.stack([features, features[::-1]])))
+    features = tried(name, "the simulation of dynamics.bind", lambda: _planned(env, controls[1]))
+    pair = tried(name, "dynamics.observe", lambda: dynamics.observe(np.stack([features, features[::-1]])))
     if not isinstance(pair, tuple) or len(pair) != 2:
         raise UserError(f"dynamics.observe of {name} must return a tuple of observation and achieved goal")
-    single = _tried(name, "dynamics.observe", lambda: dynamics.observe(features[1]))
+    single = tried(name, "dynamics.observe", lambda: dynamics.observe(features[1]))
     for part, found, one in zip(PARTS, pair, single, strict=False):
         _check_answer(name, f"dynamics.observe ({part})", lambda found=found: found, (2, 2, sizes[part]), float)
         if not np.array_equal(found[1, 0], one):
@@ -85,8 +85,9 @@ def _check_dynamics(env: Any, name: str, sizes: dict[str, int]) -> None:
 
     before, kept = {}, {}
     for step, action in enumerate(actions):
-        after, _, terminated, truncated, _ = _step(env, name, action)
-        _check_observation(after, name, sizes)
+        after, _, terminated, truncated, _ = stepped(env, name, action)
+        check_observation(after, name, sizes)
+        check_finite(after, name)
         if any(not np.array_equal(before[part], kept[part]) for part in kept):
             warnings.warn(
                 f"{name}: a step overwrites the observation of the one before; return copies (a slice of features is a "
@@ -108,50 +109,6 @@ def _check_dynamics(env: Any, name: str, sizes: dict[str, int]) -> None:
             return
 
 
-def _reset(env: Any, name: str) -> Any:
-    try:
-        inspect.signature(env.reset).bind(seed=0, options=None)
-    except TypeError as error:
-        raise UserError(
-            f"reset of {name} can not be called as Gymnasium does ({error}); let it take seed=None and options=None"
-        ) from None
-    answer = _tried(name, "reset(seed=0)", lambda: env.reset(seed=0, options=None))
-    if not isinstance(answer, tuple) or len(answer) != 2:
-        raise UserError(f"reset of {name} must return a tuple of observation and info, as Gymnasium's does")
-    return answer[0]
-
-
-def _step(env: Any, name: str, action: np.ndarray) -> Any:
-    answer = _tried(name, "step", lambda: env.step(action))
-    if not isinstance(answer, tuple) or len(answer) != 5:
-        raise UserError(
-            f"step of {name} must return a tuple of observation, reward, terminated, truncated and info, as "
-            "Gymnasium's does"
-        )
-    return answer
-
-
-def check_finite(observations: Mapping[str, np.ndarray], name: str) -> None:
-    """Check that an environment observed finite numbers; one other would spoil every network that learns from it.
-
-    Raises:
-        UserError: it did not.
-    """
-    for part in PARTS:
-        if not np.isfinite(observations[part]).all():
-            raise UserError(f"{name} observed numbers that are not finite in {part}; correct its dynamics or its reset")
-
-
-def _check_observation(observation: Any, name: str, sizes: dict[str, int]) -> None:
-    for part, size in sizes.items():
-        found = observation.get(part) if isinstance(observation, dict) else None
-        fits = isinstance(found, np.ndarray) and np.issubdtype(found.dtype, np.number) and found.shape == (size,)
-        if not fits:
-            shown = f"{found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
-            raise UserError(f"{name} observes {part} as {shown}; give an array of {size} numbers as its space says")
-    check_finite(observation, name)
-
-
 def _check_spaces(env: Any, name: str) -> tuple[int, int]:
     space, actions = env.observation_space, env.action_space
     if not isinstance(space, Dict) or not all(
@@ -163,13 +120,13 @@ def _check_spaces(env: Any, name: str) -> tuple[int, int]:
     flat = isinstance(actions, Box) and len(actions.shape) == 1
     if not flat or (actions.low != -1).any() or (actions.high != 1).any():
         raise UserError(f"the actions of {name} must be a flat Box from -1 to 1; scale them in dynamics.control")
-    return space["observation"].shape[0], space["desired_goal"].shape[0]  # type: ignore[index]  # type: ignore[index]
+    return space["observation"].shape[0], space["desired_goal"].shape[0]  # type: ignore[index]
 
 
 def _check_answer(
     name: str, member: str, call: Callable[[], Any], shape: tuple[int | None, ...], kind: type
 ) -> np.ndarray:
-    found = np.asarray(_tried(name, member, call))
+    found = np.asarray(tried(name, member, call))
     fits = len(found.shape) == len(shape) and all(w in (None, n) for n, w in zip(found.shape, shape, strict=True))
     fits = fits and (found.dtype == bool if kind is bool else np.issubdtype(found.dtype, np.number))
     if not fits:
@@ -189,12 +146,3 @@ def _planned(env: Any, controls: np.ndarray) -> np.ndarray:
     simulation.restore(get_state(env.model, env.data))
     simulation.advance(controls, features)
     return features
-
-
-def _tried(name: str, member: str, call: Callable[[], Any]) -> Any:
-    try:
-        return call()
-    except UserError:
-        raise
-    except Exception as error:
-        raise UserError(f"{member} of {name} failed with {describe_failure(error)}; correct it") from error

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from napsp.envs.check import PARTS, check_finite
+from napsp.envs.attempts import PARTS, check_finite, check_observation, first_observation, stepped
 from napsp.envs.success import SuccessTest, check_sparse
-from napsp.errors import UserError, describe_failure
+from napsp.errors import UserError
 
 N_GOALS, N_STEPS = 4, 5
 N_SPACINGS = 50  # of float32 that a success has to be wide, at least: rounding then moves its edge by a hundredth
@@ -58,16 +58,18 @@ def check_behaviour(env: Any, name: str, test: SuccessTest, sparse: bool) -> Non
     Raises:
         UserError: a member fails, or answers otherwise than Gymnasium asks; the sentence names it.
     """
-    starts = [_reset(env, name, seed) for seed in range(N_GOALS)]
+    sizes = {part: env.observation_space[part].shape[0] for part in PARTS}
+    starts = [first_observation(env, name, seed) for seed in range(N_GOALS)]
+    for start in starts:
+        check_observation(start, name, sizes)
+        check_finite(start, name)
     achieved, actions = [start["achieved_goal"] for start in starts], env.action_space
     for share in np.linspace(0.1, 0.9, N_STEPS):
         action = (actions.low + share * (actions.high - actions.low)).astype(actions.dtype)
-        answer = _tried(name, "step", lambda action=action: env.step(action))
-        if not isinstance(answer, tuple) or len(answer) != 5:
-            raise UserError(f"step of {name} must return observation, reward, terminated, truncated and info")
-        _check_observation(env, name, answer[0])
-        achieved.append(answer[0]["achieved_goal"])
-        if answer[2] or answer[3]:
+        observation, _, terminated, truncated, _ = stepped(env, name, action)
+        check_observation(observation, name, sizes)
+        achieved.append(observation["achieved_goal"])
+        if terminated or truncated:
             break
     reached, desired = np.stack(achieved), np.stack([start["desired_goal"] for start in starts])
     pairs = np.repeat(reached, N_GOALS, axis=0), np.tile(desired, (len(reached), 1))
@@ -92,8 +94,6 @@ def check_resolution(env: Any, name: str, start: dict[str, np.ndarray]) -> None:
     """
     check_finite(start, name)
     goals = np.stack([start["achieved_goal"], start["desired_goal"]]).astype(np.float64)
-    if (goals.astype(np.float32) == goals).all():
-        return
     step = np.spacing(np.abs(goals).max().astype(np.float32)).astype(np.float64)
     shifts = N_SPACINGS * step * np.vstack([np.eye(len(goals[1])), -np.eye(len(goals[1]))])
     near = goals[1] + shifts
@@ -102,29 +102,3 @@ def check_resolution(env: Any, name: str, start: dict[str, np.ndarray]) -> None:
             f"goals of {name} have coordinates of {np.abs(goals).max():.2g}, where float32 numbers are {step:.1g} "
             "apart: too coarse for its success test; let it observe positions relative to a point near its goals"
         )
-
-
-def _reset(env: Any, name: str, seed: int) -> dict[str, np.ndarray]:
-    member = f"reset(seed={seed}, options=None)"
-    answer = _tried(name, member, lambda: env.reset(seed=seed, options=None))
-    if not isinstance(answer, tuple) or len(answer) != 2:
-        raise UserError(f"reset of {name} must return a tuple of observation and info, as Gymnasium's does")
-    _check_observation(env, name, answer[0])
-    check_finite(answer[0], name)
-    return answer[0]
-
-
-def _check_observation(env: Any, name: str, observation: Any) -> None:
-    for part in PARTS:
-        found = observation.get(part) if isinstance(observation, dict) else None
-        shape = env.observation_space[part].shape
-        if not isinstance(found, np.ndarray) or found.shape != shape or not np.issubdtype(found.dtype, np.number):
-            shown = f"{found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
-            raise UserError(f"{name} observes {part} as {shown}; give an array of {shape[0]} numbers as its space says")
-
-
-def _tried(name: str, member: str, call: Any) -> Any:
-    try:
-        return call()
-    except Exception as error:
-        raise UserError(f"{member} of {name} failed with {describe_failure(error)}; correct it") from error

@@ -12,6 +12,7 @@ from napsp.errors import UserError, describe_failure, load_object
 SuccessTest = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps achieved and desired goals, both ``(n, G)``, to bool ``(n,)``."""
 
+FAR = (0.3, -0.3, 1.7, -1.7, 31.0, -31.0, 1000.0, -1000.0)  # goals may be angles, so no multiples of one another
 SAME = 1e-6  # rewards that differ by less are one
 HOW_TO_NAME_ONE = (
     "name a success test: --reached RADIUS, or --reached module:function of achieved and desired goals (n, G)"
@@ -107,5 +108,20 @@ def check_sparse(env: Any, name: str, achieved: np.ndarray, desired: np.ndarray)
     if len(values) > 2 or np.ptp(there) > SAME:
         shown = ", ".join(f"{value:g}" for value in values[:4])
         raise UserError(f"compute_reward of {name} is dense (it gives {shown} and so on); {HOW_TO_NAME_ONE}")
+    if len(values) == 1 and _is_constant(compute_reward, desired, values[0]):
+        raise UserError(f"compute_reward of {name} gives {values[0]:g} wherever one is; {HOW_TO_NAME_ONE}")
     if len(values) == 2 and there[0] < values[1] - SAME:
         raise UserError(f"compute_reward of {name} gives {there[0]:g} at a goal and more elsewhere; {HOW_TO_NAME_ONE}")
+
+
+def _is_constant(compute_reward: Callable[..., Any], desired: np.ndarray, value: float) -> bool:
+    """Whether a reward stays what it is at the goals ``(m, G)`` when one is ever farther from them, up to 1000 times.
+
+    A reward that fails so far away tells something apart.
+    """
+    far = np.concatenate([desired + way * (1.0 + np.abs(desired)) for way in FAR])
+    try:
+        found = np.asarray(compute_reward(far.astype(desired.dtype), np.tile(desired, (len(FAR), 1)), {}), np.float64)
+    except Exception:  # the user's own; it was tried where it has to work
+        return False
+    return bool((np.abs(found - value) <= SAME).all())

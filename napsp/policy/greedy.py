@@ -14,7 +14,7 @@ from napsp.scaling import Scaling
 
 
 class GreedyPolicy:
-    """a = pi(s, g) of a torch policy; its weights are shared, so it follows training."""
+    """a = pi(s, g) of a torch policy as it is now."""
 
     def __init__(self, policy: Policy) -> None:
         scaling = policy.scaling

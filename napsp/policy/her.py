@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from napsp.data.episodes import ARRIVED, LOST, Episodes, SparseReward, draw_steps
+from napsp.data.episodes import Episodes, SparseReward, draw_steps
 from napsp.errors import UserError
 from napsp.settings import check_ranges
 
@@ -102,8 +102,8 @@ def _ended(episodes: Episodes, episode: np.ndarray, t: np.ndarray, arrived: np.n
     fall say, ends the way to every goal.
     """
     ended = np.full(len(t), np.nan, np.float32)
-    if (episodes.endings == ARRIVED).any():
+    if episodes.arriving_ends:
         ended[arrived] = 0.0
-    lost = (episodes.endings[episode] == LOST) & (t + 1 == episodes.lengths[episode])
+    lost = episodes.lost(episode, t)
     ended[lost] = np.where(arrived[lost], 0.0, 1.0)
     return ended

@@ -16,6 +16,7 @@ from napsp.storage.files import write_atomically, write_json
 from napsp.storage.progress import Row
 
 RECORD_FILE = "training.json"
+CURVE_FILE = "training_curve.png"
 
 
 def command_line(config: TrainConfig) -> str:
@@ -27,8 +28,8 @@ def command_line(config: TrainConfig) -> str:
 
 
 def write_record(folder: Path, config: TrainConfig, rows: list[Row], revisions: list[str]) -> None:
-    """Write ``training_curve.png``, then ``training.json``; ``revisions`` are those the run was trained by."""
-    draw_curve(folder / "training_curve.png", config, rows)
+    """Write :data:`CURVE_FILE`, then :data:`RECORD_FILE`; ``revisions`` are those the run was trained by."""
+    draw_curve(folder / CURVE_FILE, config, rows)
     record = {
         "command": command_line(config),
         "revision": ", ".join(revisions),

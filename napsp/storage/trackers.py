@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -35,6 +36,11 @@ def require(names: Collection[str]) -> None:
     for name in names:
         if find_spec(name) is None:
             raise UserError(f"{TRACKERS[name]} is not installed; run: pip install 'napsp[{name}]'")
+
+
+def forget(folder: Path) -> None:
+    """Remove what trackers keep of a run in a folder where another one begins."""
+    shutil.rmtree(folder / "tensorboard", ignore_errors=True)
 
 
 def open_trackers(names: Collection[str], folder: Path, config: Mapping[str, Any], continued: bool) -> list[Tracker]:

@@ -104,15 +104,22 @@ class PlanConfig(Generic[S]):
         ``smooth`` is a switch here, as on the command line.
 
         Raises:
-            UserError: there is no option of a name, or a value is out of its range or does not fit the others.
-            ValueError: the same of an option of the search.
+            UserError: there is no search or option of a name, or a value does not fit it or the others.
         """
+        if planner not in SEARCHES:
+            raise UserError(f"there is no search {planner!r}; {choose(planner, SEARCHES)}")
         usual, asked = SEARCHES[planner], dict(changes or {})
         smooth = asked.pop("smooth", usual.smooth is not None)
         base = cls(planner, usual.config(), smooth=(usual.smooth or SmoothingConfig()) if smooth else None)  # type: ignore[arg-type]
-        if not smooth:
-            asked = {name: value for name, value in asked.items() if not name.startswith("smooth.")}
-        return changed(base, asked)
+        if not smooth:  # switched off, its options may stay where they are
+            idle = {name: asked.pop(name) for name in list(asked) if name.startswith("smooth.")}
+            changed(SmoothingConfig(), {name.removeprefix("smooth."): value for name, value in idle.items()})
+            if idle and "smooth" not in (changes or {}):
+                raise UserError(f"--{next(iter(idle)).replace('_', '-')} needs --smooth, which is off")
+        try:
+            return changed(base, asked)
+        except ValueError as error:  # of a search, which knows no users
+            raise UserError(str(error)) from None
 
     @property
     def usual(self) -> Planning:

@@ -13,16 +13,17 @@ from napsp.storage.files import read_json, write_json
 OWNER, SUMMARY = "configuration.json", "summary.json"
 REPLACED = ("video.mp4", "distance_field.png", "episodes.csv", "steps.csv", "steps.png", "distance_to_go.png", SUMMARY)
 """What a command writes beside it."""
-TOLD_APART = ("env", "planner", "cost", "seed", "differences", "checkpoint", "ensemble")
+TOLD_APART = ("env", "planner", "cost", "seed", "differences", "checkpoint", "ensemble", "hold")
 
 FIX = "choose another --out"
 
 
 def identity(described: dict[str, Any]) -> dict[str, Any]:
-    """What plans depend on, of :func:`planners.app.record.describe_session`; in older summaries as well."""
+    """What plans and their success depend on, of :func:`planners.app.record.describe_session` or an older one's."""
     found = {name: described[name] for name in TOLD_APART[:5]}
     paths = described["config"].get("distance", {}).get("ensemble", [])
-    return found | {"checkpoint": described["run"].get("checkpoint"), "ensemble": paths}
+    run = described["run"]
+    return found | {"checkpoint": run.get("checkpoint"), "ensemble": paths, "hold": run.get("hold")}
 
 
 def claim(folder: Path, described: dict[str, Any]) -> str | None:
@@ -43,6 +44,7 @@ def claim(folder: Path, described: dict[str, Any]) -> str | None:
     if not (folder / OWNER).is_file():
         _inherit(folder, asked)
     held = read_json(folder / OWNER, FIX)
+    held.setdefault("hold", asked["hold"])  # in folders of before
     different = [name for name in TOLD_APART if held.get(name) != asked[name]]
     if "differences" in different:
         own, others = asked["differences"], held.get("differences")
@@ -52,9 +54,13 @@ def claim(folder: Path, described: dict[str, Any]) -> str | None:
     if different:
         raise UserError(f"{folder} holds plans of other options ({', '.join(different)}); choose another --out")
     replaced = [name for name in REPLACED if (folder / name).is_file()]
-    for name in REPLACED[:2]:
-        (folder / name).unlink(missing_ok=True)  # an older run's would look like this one's
     return f"replacing the results of the same options in {folder}" if replaced else None
+
+
+def clear(folder: Path) -> None:
+    """Remove what an older run left, once there is a first result to take its place: it would look like this one's."""
+    for name in REPLACED:
+        (folder / name).unlink(missing_ok=True)
 
 
 def release(folder: Path) -> None:

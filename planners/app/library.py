@@ -106,7 +106,10 @@ def controller(
                         "it without them")  # fmt: skip
     if "goal" in (options or {}):
         raise UserError("a controller plans to the goal of the observation that it is handed; change that one instead")
-    named = "distance" if isinstance(cost, Distance) else cost if isinstance(cost, str) else "sparse"
+    given = {"planner", "env"} | (set() if cost == "distance" else {"cost"})
+    for name in sorted(given & set(options or {})):
+        raise UserError(f"{name} is no option of a controller; hand it over as an argument")
+    named = "distance" if isinstance(cost, Distance) else cost if isinstance(cost, str) else _named(cost)
     changes = {"env": _name(env), "cost": named, "horizon": horizon, **(options or {})}
     changes |= {} if samples is None else {"search.samples": samples}
     config = PlanConfig.of(search, changes).resolved()
@@ -114,6 +117,12 @@ def controller(
     estimate = None if isinstance(cost, Distance | str) else GivenSteps(cost)
     run = RunOptions(seed=seed, threads=threads)
     return TaskController(env, build_controller(config, run, models, world, estimate=estimate))
+
+
+def _named(cost: Callable[..., Any]) -> str:
+    """A function as ``--cost`` would name it."""
+    kind = cost if hasattr(cost, "__qualname__") else type(cost)
+    return f"{kind.__module__}:{kind.__qualname__}"
 
 
 def _name(env: gymnasium.Env) -> str:

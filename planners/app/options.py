@@ -13,7 +13,7 @@ import tyro
 from mpc.smoothing.config import SmoothingConfig
 from napsp.command_line import Flat, ask
 from napsp.errors import UserError
-from napsp.settings import FIRST_SEED, MANY, check_ranges, refuse_old_flags
+from napsp.settings import FIRST_SEED, MANY, check_ranges, differences, refuse_old_flags
 from planners.app.config import PlanConfig, S
 
 RENAMED = {
@@ -105,6 +105,11 @@ def parse(
     try:
         asked: Command[Any] = ask(Command[shown], arguments, prog, [*names, *others], default=default)
         own = {f.name: getattr(asked.plan.search, f.name) for f in dataclasses.fields(kind)}
+        if asked.smoothing != default.smoothing and not asked.smooth and "--no-smooth" not in arguments:
+            named = next(iter(differences(asked.smoothing, default.smoothing)))
+            raise UserError(f"--smooth.{named.replace('_', '-')} needs --smooth, which is off")
+        if asked.run.checkpoint is not None and asked.plan.cost not in ("distance",):
+            raise UserError(f"--checkpoint needs --cost distance: {asked.plan.cost} asks no learned distance")
         smooth = asked.smoothing if asked.smooth else None
         return replace(asked.plan, search=kind(**own), smooth=smooth), asked.run
     except UserError as error:

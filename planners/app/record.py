@@ -15,12 +15,16 @@ from planners.app.session import Session
 
 
 def default_folder(config: PlanConfig[Any], run: RunOptions) -> Path:
-    """Where the results go unless the user says otherwise: another folder for everything that makes other plans."""
+    """Where the results go unless the user says otherwise: another folder for everything that makes other plans.
+
+    And for other numbers of episodes, or of steps that a goal has to be held: a quick look replaces no long run.
+    """
     name = f"{file_name(config.env)}-{config.planner}-{config.cost.replace(':', '-')}-s{run.seed}"
     asked, usual = config.identity(), PlanConfig.of(config.planner, {"env": config.env}).identity()
     asked |= {"cost": config.cost}
     models = {"checkpoint": run.checkpoint, "distance.ensemble": config.distance.ensemble}
     asked |= {key: _plain_values(value) for key, value in models.items() if value}
+    asked |= {key: getattr(run, key) for key in ("episodes", "hold") if getattr(run, key) != getattr(RunOptions, key)}
     return Path("plans") / (name if asked == usual | {"cost": config.cost} else f"{name}-{digest(asked)}")
 
 

@@ -17,6 +17,7 @@ from napsp.envs.gap import world_gap
 from napsp.statistics import describe, wilson_interval
 from napsp.storage.files import write_atomically, write_json
 from planners.app.episode import COLUMNS, EpisodeResult
+from planners.app.folder import clear
 from planners.app.plots import plot_distance_to_go, plot_steps
 from planners.app.record import describe_session
 from planners.app.session import Session
@@ -60,7 +61,9 @@ class Report:
         self._notes.append(text)
 
     def add(self, result: EpisodeResult) -> None:
-        """Record an episode and print its line."""
+        """Record an episode and print its line; the first one takes the place of an older run's results."""
+        if not self.results:
+            clear(self._folder)
         self.results.append(result)
         write_atomically(self._folder / "episodes.csv", self._csv().encode())
         self._steps += [",".join(row) for row in result.rows(len(self.results))]
@@ -156,7 +159,8 @@ class Report:
                 highlight=False,
             )
         if period_ms is not None:
-            self._say(self._about_the_pace(summary["plan_ms_median"], period_ms))
+            smoothing_ms = float(np.median(np.concatenate([result.smoothing_ms for result in self.results])))
+            self._say(self._about_the_pace(summary["plan_ms_median"], smoothing_ms, period_ms))
         for line in self._notes:
             self._say(line)
         self._say(f"results: {self._folder}/summary.json, episodes.csv, steps.csv, steps.png, distance_to_go.png")
@@ -167,16 +171,21 @@ class Report:
         ends = f", which ends an episode once it lasts {run.hold} steps" if run.hold else ""
         return f"{seeds}; success is being at the goal at the end{ends}; napsp columns explains the others"
 
-    def _about_the_pace(self, plan_ms: float, period_ms: float) -> str:
+    def _about_the_pace(self, plan_ms: float, smoothing_ms: float, period_ms: float) -> str:
         """Whether a robot would have to wait for plans, and how many samples would do."""
         if plan_ms <= period_ms:
             return f"pace: plans take {plan_ms:.1f} ms (median), within the control period of {period_ms:.3g} ms"
         search: Any = self._session.config.search
-        enough = int(search.samples * period_ms / plan_ms)
+        enough = int(search.samples * (period_ms - smoothing_ms) / (plan_ms - smoothing_ms))
         drawn = "samples" in {field.name for field in fields(search)}
         fits = drawn and enough >= search.least_samples(self._session.config.n_proposals)
         advice = f"--samples {enough} would about keep pace here"
-        advice = advice if fits else "try --model.kind coarse, a shorter --horizon or fewer --samples on idle cores"
+        if smoothing_ms >= period_ms:
+            advice = (
+                f"smoothing alone takes {smoothing_ms:.1f} ms, so leave out --smooth, or give it a shorter --horizon"
+            )
+        elif not fits:
+            advice = "try --model.kind coarse, a shorter --horizon or fewer --samples on idle cores"
         return (
             f"pace: plans take {plan_ms:.1f} ms (median), the control period is {period_ms:.3g} ms, and the simulation "
             f"waited for them; {advice}"

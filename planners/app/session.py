@@ -14,9 +14,9 @@ from mpc.motion import action_rate, jerk
 from mpc.verify import Verified
 from mpc.workers import CAN_FORK
 from napsp import envs as tasks
+from napsp.envs.attempts import check_finite
 from napsp.envs.blowups import BlowUpDetector
 from napsp.envs.cards import CARDS
-from napsp.envs.check import check_finite
 from napsp.errors import UserError
 from napsp.storage.checkpoint import Model
 from planners.app.build import build_controller
@@ -190,13 +190,16 @@ class Session:
         self.env.unwrapped.goal = goal.copy()
         observation["desired_goal"] = goal.copy()
 
-    def record(self, observation: dict[str, np.ndarray], plan: Plan, cost: float) -> Step:
-        """Figures of a control step: the ``observation`` that it led to, its plan, and what that one costs alone."""
+    def record(self, observation: dict[str, np.ndarray], plan: Plan, cost: float, late: int = 0) -> Step:
+        """Figures of a control step: the ``observation`` that it led to, its plan, and what that one costs alone.
+
+        ``late`` is how many control steps before this one the plan was made for.
+        """
         world = self.env.unwrapped
         here, goal = (world.goal_positions(observation[key]) for key in ("achieved_goal", "desired_goal"))
         return Step(
             cost,
-            self._to_go(observation, plan),
+            self._to_go(observation, plan, late + 1),
             plan.effective_samples,
             plan.effective_samples / len(plan.costs),
             plan.milliseconds,
@@ -213,9 +216,10 @@ class Session:
         # Of other tasks nothing is known but that the goal is about what they move.
         return self.env.unwrapped.goal_positions(observation["achieved_goal"])
 
-    def _to_go(self, observation: dict[str, np.ndarray], plan: Plan) -> float:
+    def _to_go(self, observation: dict[str, np.ndarray], plan: Plan, number: int) -> float:
+        """Steps to go where the plan's next action, at ``number``, is due."""
         cost = self.controller.cost
-        following = plan.actions[min(1, len(plan.actions) - 1)][None] if cost.action_of == "plan" else None
+        following = plan.actions[min(number, len(plan.actions) - 1)][None] if cost.action_of == "plan" else None
         rows = observation["observation"][None], observation["achieved_goal"][None]
         return float(cost.to_go(*rows, following, observation["desired_goal"])[0])
 

@@ -52,15 +52,19 @@ class Choices:
             return replace(self, run=replace(run, checkpoint=None if value is None else Path(value)))
         if name == "env":  # what was chosen for another task does not fit this one
             distance = replace(plan.distance, ensemble=())
-            plan = replace(plan, env=value, goal=None, horizon=None, spline=SplineConfig(), distance=distance)
+            model = replace(plan.model, substeps=None)
+            plan = replace(
+                plan, env=value, goal=None, horizon=None, spline=SplineConfig(), distance=distance, model=model
+            )
             if hasattr(plan.search, "finest"):
                 plan = changed(plan, {"search.finest": SEARCHES[plan.planner].config().finest})
             return Choices(plan, replace(run, checkpoint=None))
         if name == "planner":
             if value not in SEARCHES:
                 raise UserError(f"there is no search {value!r}; choose from: {', '.join(SEARCHES)}")
-            usual = PlanConfig.of(value)
-            return replace(self, plan=replace(plan, planner=value, search=usual.search, smooth=usual.smooth))
+            usual, own = PlanConfig.of(value), PlanConfig.of(plan.planner)
+            smooth = usual.smooth or (plan.smooth if plan.smooth != own.smooth else None)  # the user's stays
+            return replace(self, plan=replace(plan, planner=value, search=usual.search, smooth=smooth))
         if name == "smooth":
             return replace(self, plan=replace(plan, smooth=PlanConfig.of(plan.planner, {"smooth": bool(value)}).smooth))
         return replace(self, plan=changed(plan, {name: value}))

@@ -176,7 +176,7 @@ class Live:
 
     def _offer(self, newest: NewestPlan) -> None:
         world, here = self._trial.world, self._trial.observation
-        newest.offer(self._trial.number, get_state(world.model, world.data), dict(here))
+        newest.offer(self._trial.number, get_state(world.model, world.data), dict(here), self._trial.executed)
 
     def _stop_planning(self) -> None:
         if self._newest is not None:

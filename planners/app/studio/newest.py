@@ -13,11 +13,15 @@ from mpc.controller import Controller, Plan
 
 @dataclass(frozen=True)
 class Job:
-    """A state to plan from: the control step it is before, the full state, its observation, and when that was."""
+    """A state to plan from: the control step it is before, the full state, its observation, and when that was.
+
+    ``executed`` ``(k, A)``, k <= 2, are the actions before it, the latest last.
+    """
 
     number: int
     state: np.ndarray
     observation: dict[str, np.ndarray]
+    executed: np.ndarray
     at: float
 
 
@@ -52,10 +56,10 @@ class NewestPlan:
         self._thread = threading.Thread(target=self._work, name="planning", daemon=True)
         self._thread.start()
 
-    def offer(self, number: int, state: np.ndarray, observation: dict[str, np.ndarray]) -> None:
-        """Hand in the state before a control step, not to be written to any more."""
+    def offer(self, number: int, state: np.ndarray, observation: dict[str, np.ndarray], executed: np.ndarray) -> None:
+        """Hand in a :class:`Job`, of arrays that are not written to any more."""
         with self._changed:
-            self._job = Job(number, state, observation, time.monotonic())
+            self._job = Job(number, state, observation, executed, time.monotonic())
             self._changed.notify_all()
 
     @property
@@ -98,5 +102,5 @@ class NewestPlan:
     def _plan(self, job: Job, before: Job | None) -> Planned:
         if before is not None:  # every plan call moves the last plan on by one step; the world has moved on by more
             self._controller.skip(job.number - before.number - 1)
-        plan = self._controller.plan_from(job.state, job.observation)
+        plan = self._controller.plan_from(job.state, job.observation, job.executed)
         return Planned(job, plan, self._controller.cost_from(job.state, job.observation, plan.actions))

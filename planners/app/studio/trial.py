@@ -77,6 +77,7 @@ class Trial:
     plan: Plan | None = None
     _way: list[np.ndarray] = field(default_factory=list)
     _lived: list[Lived] = field(default_factory=list)
+    _executed: list[np.ndarray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.observation = self.session.begin(self.seed)
@@ -93,6 +94,12 @@ class Trial:
     def number(self) -> int:
         """Control steps so far."""
         return len(self._lived)
+
+    @property
+    def executed(self) -> np.ndarray:
+        """The last actions ``(k, A)``, k <= 2, the latest last."""
+        n_actions = self.session.env.action_space.shape[0]
+        return np.array(self._executed[-2:], np.float32).reshape(-1, n_actions)
 
     @property
     def over(self) -> bool:
@@ -126,7 +133,8 @@ class Trial:
         self._ended = self._ended or terminated
         self.observation = {key: np.array(values) for key, values in found.items()}
         self.plan = plan
-        self._lived.append(Lived(self.session.record(self.observation, plan, cost), late_ms, late_steps))
+        self._executed = [*self._executed[-1:], np.array(action)]
+        self._lived.append(Lived(self.session.record(self.observation, plan, cost, late_steps), late_ms, late_steps))
         self._way.append(self.observation["achieved_goal"])
 
     def scenery(self) -> Scenery:
