@@ -18,7 +18,7 @@ from napsp.storage import lock
 from napsp.storage.files import read_json, sound, write_atomically, write_json
 from napsp.storage.progress import read_rows
 from napsp.storage.record import RECORD_FILE
-from napsp.storage.shipped import SHIPPED, shipped_model
+from napsp.storage.shipped import SHIPPED, shipped_model, shipped_names
 from napsp.train import train
 
 RESULTS = Path("results")
@@ -174,9 +174,11 @@ def find(rows: Iterable[Mapping[str, str]], key: Mapping[str, Any]) -> Mapping[s
 
 
 def figures_folder(options: Any) -> Path:
-    """Where figures go: published ones show the episodes that are published, those of a trial lie beside its runs."""
-    usual = type(options)()
-    return RESULTS if (options.episodes, options.seed) == (usual.episodes, usual.seed) else RUNS
+    """Where figures go: published ones are of published episodes and models, those of a trial lie beside its runs."""
+    told = ("episodes", "seed", "training_seed")
+    usual = all(getattr(options, name, None) == getattr(type(options), name, None) for name in told)
+    ships = options.checkpoint is None or str(options.checkpoint) in shipped_names()
+    return RESULTS if usual and ships else RUNS
 
 
 def add_result(path: Path, cell: Mapping[str, Any], figures: Mapping[str, Any]) -> None:

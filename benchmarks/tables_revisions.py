@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.cells import RESULTS, ROWS, learning_curves, read_results
+from benchmarks.cells import AGAIN, RESULTS, ROWS, learning_curves, read_results
+from napsp.storage.files import read_json
 
 
 def revised_rows() -> Mapping[str, Sequence[Mapping[str, Any]]]:
     """All rows, by where they are kept."""
-    return {str(ROWS): learning_curves(), **{str(path): read_results(path) for path in sorted(RESULTS.glob("*.csv"))}}
+    figures = {str(path): [read_json(path, AGAIN)] for path in sorted(RESULTS.glob("*.json"))}
+    tables = {str(path): read_results(path) for path in sorted(RESULTS.glob("*.csv"))}
+    return {str(ROWS): learning_curves(), **tables, **figures}
 
 
 def is_changed(row: Mapping[str, Any]) -> bool:

@@ -166,13 +166,13 @@ class Controller:
         self._executed = []
         self._shift_due = False
 
-    def plan(self, env: Any, observation: dict[str, np.ndarray]) -> Plan:
-        """Plan from the current state of ``env`` (unwrapped), which is only read.
+    def plan(self, env: Any, observation: dict[str, np.ndarray], executed: np.ndarray | None = None) -> Plan:
+        """Plan from the current state of ``env`` (unwrapped), which is only read; for ``executed`` see the next one.
 
         Raises:
             ValueError: the engine's model has another state, or the desired goal is not finite.
         """
-        return self.plan_from(self.engine.state_of(env), observation)
+        return self.plan_from(self.engine.state_of(env), observation, executed)
 
     def plan_from(self, state: State, observation: dict[str, np.ndarray], executed: np.ndarray | None = None) -> Plan:
         """Plan from a full simulator state and the observation that belongs to it.

@@ -5,10 +5,12 @@ from __future__ import annotations
 import difflib
 import importlib
 import os
+import re
 import sys
 import traceback
 import warnings
 from collections.abc import Callable, Collection
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any
@@ -63,15 +65,18 @@ def _run(main: Callable[[], int | None]) -> None:
 
 def tell_of_interrupts() -> None:
     """Where ``python -m`` imports a package: let Ctrl-C end the command in a line until :func:`run_command` does."""
-    if sys.argv[:1] == ["-m"] and _asked_for() in PACKAGES:  # what it is while the command's module is looked for
+    if sys.argv[:1] != ["-m"]:  # what it is while the command's module is looked for
+        return
+    spec = find_spec(name) if (name := _asked_for()) in PACKAGES else None
+    if spec is not None and spec.origin is not None and is_ours(spec.origin):
         sys.excepthook = _interrupted
 
 
 def _asked_for() -> str:
     """The package that ``python -m`` was told to run; of a program of the user's own, Ctrl-C is its own affair."""
     words = iter(sys.orig_argv[1:])
-    found = next((word for word in words if word.startswith("-m")), "").removeprefix("-m") or next(words, "")
-    return found.partition(".")[0]
+    found = next((match for word in words if (match := re.fullmatch(r"-[bBdEiIOPqsSuvx]*m(.*)", word))), None)
+    return ((found and found[1]) or next(words, "")).partition(".")[0]
 
 
 def _interrupted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

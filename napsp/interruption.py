@@ -1,4 +1,4 @@
-"""Ctrl-C during training: the first one asks for an orderly end."""
+"""Who ends a training: Ctrl-C, of which the first one asks for an orderly end, or a callback."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import signal
 import threading
 from types import FrameType
 from typing import Any
+
+import numpy as np
 
 
 class Interruption:
@@ -33,3 +35,8 @@ class Interruption:
         if self._listens:
             signal.signal(signal.SIGINT, signal.SIG_DFL if self._previous is None else self._previous)
             self._listens = False
+
+
+def says_no(answer: Any) -> bool:
+    """Whether a callback answered False, numpy's as well; a figure of 0 is no answer."""
+    return isinstance(answer, bool | np.bool_) and not answer

@@ -22,6 +22,7 @@ from napsp.data.outcomes import evaluate as run_episodes
 from napsp.distance.network import DistanceNetwork
 from napsp.envs.goal_task import make_goal_task, saves_its_state
 from napsp.execution import Execution
+from napsp.interruption import says_no
 from napsp.policy.greedy import GreedyPolicy
 from napsp.settings import FIRST_SEED
 from napsp.storage.checkpoint import Model, load_model
@@ -240,8 +241,7 @@ def train(
         options: any other option of the command by its dotted name, such as ``{"temporal.first_arrival": True}``.
         out: folder of the run; an unfinished one with the same settings is continued.
         restart: overwrite the run in that folder instead.
-        on_evaluation: is handed the figures of each evaluation; returning False, or what counts as that, ends the
-            training, saved.
+        on_evaluation: is handed the figures of each evaluation; returning False ends the training, saved.
         device: where the networks are trained.
         compiled: compile the losses.
 
@@ -251,13 +251,12 @@ def train(
     """
     changes = dict(options or {}) | ({} if episodes is None else {"n_episodes": episodes})
     config = preset(task, method, recipe, changes, seed=seed)
-    tell_of_unread(config)
+    tell_of_unread(config, stacklevel=4)  # whoever called the package
     folder, stopped = Path(out) if out is not None else usual_folder(config), False
 
     def watch(row: dict[str, float]) -> bool:
         nonlocal stopped
-        goes_on = None if on_evaluation is None else on_evaluation(row)
-        stopped = goes_on is not None and not goes_on
+        stopped = on_evaluation is not None and says_no(on_evaluation(row))
         return not stopped
 
     run_training(config, folder, restart, execution=Execution(device, compiled), on_evaluation=watch)

@@ -23,7 +23,7 @@ from napsp.envs.goal_check import check_resolution
 from napsp.envs.goal_task import is_goal_task, make_goal_task, own_box
 from napsp.errors import UserError
 from napsp.execution import Execution
-from napsp.interruption import Interruption
+from napsp.interruption import Interruption, says_no
 from napsp.learner import Learner
 from napsp.parts import build_learner
 from napsp.policy.greedy import GreedyPolicy
@@ -172,8 +172,7 @@ class Run:
         done = float(self.learner.buffer.n_seen)
         row: Row = {"episodes": done, **self._evaluate(), **metrics, **self._blow_ups(), **timing}
         self.progress.report(row)
-        goes_on = self.on_evaluation(row) if self.on_evaluation is not None else None
-        if goes_on is not None and not goes_on:
+        if self.on_evaluation is not None and says_no(self.on_evaluation(row)):
             self.interruption.asked = True
 
     def _evaluate(self) -> Row:
@@ -235,7 +234,7 @@ class Run:
         self.progress.close()
         for env in [*self.envs, *(self.explorers.worlds if self.explorers else [])]:
             env.close()
-        if self.interrupted:
+        if self.interrupted and not (self.folder / RECORD_FILE).is_file():
             done = self.learner.buffer.n_seen
             print(f"saved in {self.folder}; the same command continues it" if self._saved_at == done else
                   f"what came last was not saved; {how_it_goes_on(self.folder)}")  # fmt: skip
@@ -273,7 +272,7 @@ def new_learner(
     envs[0].reset(seed=config.seed)
     used = None if is_goal_task(envs[0]) else used_actions(envs[0].unwrapped)
     with torch.random.fork_rng(devices=[]):  # the caller's own numbers stay as they were
-        torch.manual_seed(config.seed)  # initial weights
+        torch.default_generator.manual_seed(config.seed)  # initial weights
         return build_learner(config, sizes_of(envs[0]), warmup, sparse_reward(envs[0]), rng, generator, execution, used)
 
 

@@ -89,24 +89,28 @@ def changed(config: C, changes: Mapping[str, Any]) -> C:
     for head, value in own.items():
         group = getattr(config, head)
         nested = dataclasses.is_dataclass(group) and isinstance(value, Mapping)
-        own[head] = changed(group, value) if nested else _of_kind(head, value, kinds[head])
+        own[head] = changed(group, value) if nested else of_kind(head, value, kinds.get(head, Any))
     return dataclasses.replace(config, **own)  # type: ignore[type-var]
 
 
 @cache
 def _kinds(config: type) -> dict[str, Any]:
     """The annotations of a configuration; reports ask thousands of times."""
-    return get_type_hints(config)
+    try:
+        return get_type_hints(config)
+    except NameError:  # names that a search of the user's own imports for a type checker alone
+        return {}
 
 
-def _of_kind(name: str, value: Any, kind: Any) -> Any:
+def of_kind(name: str, value: Any, kind: Any) -> Any:
     """The value of an option as its field holds it: numpy's numbers as Python's, lists as tuples, 64.0 as 64.
 
     Raises:
         UserError: it is of another kind, or none of the words it may be.
     """
-    value = value.item() if isinstance(value, np.generic) else value
-    value = tuple(value) if isinstance(value, list) else value
+    value = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+    if isinstance(value, list | tuple) and not _fits(value, kind):
+        value = tuple(part.item() if isinstance(part, np.generic) else part for part in value)
     if isinstance(value, float) and value.is_integer() and not _fits(value, kind) and _fits(int(value), kind):
         value = int(value)
     if _fits(value, kind):
@@ -125,12 +129,14 @@ def _fits(value: Any, kind: Any) -> bool:
     if origin is Literal:
         return value in inner
     if origin is tuple:
-        return isinstance(value, tuple) and all(_fits(part, inner[0]) for part in value)
-    if isinstance(kind, TypeVar):
-        return dataclasses.is_dataclass(value)
+        kinds = inner[:1] * len(value) if isinstance(value, tuple) and inner[1:] == (...,) else inner
+        return isinstance(value, tuple) and len(value) == len(kinds) and all(map(_fits, value, kinds))
+    if kind is Any:
+        return True
     if kind in (int, float) and isinstance(value, bool):
         return False
-    return isinstance(value, {float: int | float, Path: str | Path}.get(kind, kind))
+    kind = {float: int | float, Path: str | Path, None: type(None)}.get(kind, kind)
+    return not isinstance(kind, type | UnionType) or isinstance(value, kind)  # what we do not know is the user's own
 
 
 def differences(config: Any, default: Any) -> dict[str, Any]:

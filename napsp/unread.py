@@ -7,11 +7,11 @@ import warnings
 from napsp.config import OF_THE_GATE, TrainConfig, idle_options, preset
 from napsp.settings import as_flags, differences
 
-OF_PAIRS = ("temporal.", "uncertainty.", "n_temporal_updates")
+OF_PAIRS = ("temporal.", "n_temporal_updates")
 OF_WAYPOINTS = ("triangular.", "n_triangular_updates", *OF_THE_GATE)
 OF_METHODS = {
-    "sparse": (*OF_PAIRS, *OF_WAYPOINTS, "distance.", "counts."),
-    "ddl": (*OF_WAYPOINTS, "uncertainty."),
+    "sparse": (*OF_PAIRS, *OF_WAYPOINTS, "distance.", "counts.", "uncertainty."),
+    "ddl": OF_WAYPOINTS,
     "offpolicy_ddl": (*OF_WAYPOINTS, "temporal.ddl_window"),
     "ours": ("temporal.ddl_window",),
     "plus": (*OF_PAIRS, *OF_WAYPOINTS),
@@ -30,10 +30,10 @@ def unread(config: TrainConfig) -> tuple[str, ...]:
     return (*idle_options(config.method), *OF_METHODS[config.method], *OF_AGENTS[config.policy.agent], *output)
 
 
-def tell_of_unread(config: TrainConfig) -> None:
+def tell_of_unread(config: TrainConfig, stacklevel: int = 3) -> None:
     """Warn of options that differ from the task's own for the method, and that nobody reads."""
     usual = preset(config.env, config.method, config.recipe)
     idle = {name: value for name, value in differences(config, usual).items() if name.startswith(unread(config))}
     if idle:
         what = f"method {config.method} with the {config.policy.agent} agent"
-        warnings.warn(f"{what} does not read {as_flags(idle)}", UserWarning, stacklevel=3)
+        warnings.warn(f"{what} does not read {as_flags(idle)}", UserWarning, stacklevel=stacklevel)

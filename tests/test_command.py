@@ -81,8 +81,9 @@ def test_help_of_a_plan_names_the_command_that_was_typed(capsys):
     assert "napsp plan icem" in capsys.readouterr().out
 
 
-def test_ctrl_c_in_a_program_that_imports_the_package_is_its_own_affair(tmp_path):
-    tool = tmp_path / "mytool"
+@pytest.mark.parametrize("name", ["mytool", "benchmarks"])
+def test_ctrl_c_in_a_program_that_imports_the_package_is_its_own_affair(name, tmp_path):
+    tool = tmp_path / name
     tool.mkdir()
     (tool / "__init__.py").write_text("import napsp\n")
     (tool / "__main__.py").write_text(
@@ -90,16 +91,18 @@ def test_ctrl_c_in_a_program_that_imports_the_package_is_its_own_affair(tmp_path
         "os.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
     )
     found = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
-    done = subprocess.run([sys.executable, "-m", "mytool"], env=found, capture_output=True, text=True, preexec_fn=heard)
+    done = subprocess.run(
+        [sys.executable, "-m", name], env=found, capture_output=True, text=True, preexec_fn=heard, cwd=tmp_path
+    )
     assert done.stdout == "robot stopped\n" and "KeyboardInterrupt" in done.stderr
 
 
-@pytest.mark.parametrize("module", ["napsp.train", "planners.icem"])
-def test_ctrl_c_while_modules_are_imported_is_a_line(module, tmp_path):
+@pytest.mark.parametrize("words", [["-m", "napsp.train"], ["-m", "planners.icem"], ["-um", "napsp.train"]])
+def test_ctrl_c_while_modules_are_imported_is_a_line(words, tmp_path):
     (tmp_path / "tyro.py").write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n")
     found = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     done = subprocess.run(
-        [sys.executable, "-m", module, "--help"], env=found, capture_output=True, text=True,
+        [sys.executable, *words, "--help"], env=found, capture_output=True, text=True,
         preexec_fn=heard,
     )  # fmt: skip
     assert done.returncode == 130 and done.stderr == "interrupted\n", done.stderr

@@ -47,10 +47,14 @@ def test_how_long_a_goal_has_to_be_held_is_an_option_of_the_results(tmp_path):
     plan(tmp_path)
     with pytest.raises(UserError, match=r"other options \(hold\)"):
         plan(tmp_path, "--hold", "0")
-    owner = json.loads((tmp_path / OWNER).read_text())
-    del owner["hold"]  # as folders of before
-    (tmp_path / OWNER).write_text(json.dumps(owner))
-    assert plan(tmp_path, "--hold", "0") == 0
+    for name in (OWNER, "summary.json"):  # as folders of before
+        found = json.loads((tmp_path / name).read_text())
+        del (found if name == OWNER else found["run"])["hold"]
+        (tmp_path / name).write_text(json.dumps(found))
+    with pytest.raises(UserError, match=r"other options \(hold\)"):
+        plan(tmp_path)  # all episodes had their whole length
+    (tmp_path / OWNER).unlink()
+    assert plan(tmp_path, "--hold", "0") == 0 and json.loads((tmp_path / OWNER).read_text())["hold"] == 0
 
 
 def test_results_stay_until_there_is_a_first_one_to_take_their_place(tmp_path, monkeypatch):

@@ -137,6 +137,17 @@ def test_dense_rewards_need_a_success_test_by_radius_or_function():
             make_goal_task(name, reached)
 
 
+class Cells(Ones):
+    """Whole numbers, and a success is to be at one exactly."""
+
+    def reached(self, achieved_goal, desired_goal):
+        return (np.asarray(achieved_goal) == desired_goal)[..., 0]
+
+
+def test_whole_numbers_need_no_room_for_rounding(tmp_path):
+    train(tiny(f"{__name__}:Cells", n_episodes=6), tmp_path)
+
+
 class Never(Line):
     def compute_reward(self, achieved_goal, desired_goal, info):
         return np.full(np.shape(achieved_goal)[:-1], -1.0)

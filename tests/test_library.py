@@ -21,6 +21,7 @@ from napsp.policy.greedy import GreedyPolicy
 from napsp.train import train as train_command
 
 N_OBSERVATION, N_ACTION, N_GOAL = 10, 4, 3
+MAZE = [1, 0, 0, 0, 1]
 
 
 @pytest.fixture(scope="module")
@@ -149,14 +150,13 @@ def test_training_leaves_the_callers_random_numbers_alone(tmp_path):
     assert torch.equal(torch.rand(2), wanted)
 
 
-def test_tasks_take_the_options_of_their_classes():
-    for name, options in (
-        ("FetchPush-v4", {"reward_type": "dense"}),
-        ("PointMaze_UMaze-v3", {"continuing_task": True}),
-    ):
-        env = napsp.make(name, **options)
-        assert set(env.reset(seed=0)[0]) == {"observation", "achieved_goal", "desired_goal"}
-        env.close()
+def test_stock_tasks_take_the_options_of_their_classes():
+    maze = [[1] * 5, MAZE, [1] * 5]
+    usual, other = (napsp.make("PointMaze_UMaze-v3", **options) for options in ({}, {"maze_map": maze}))
+    assert usual.unwrapped.model.ngeom != other.unwrapped.model.ngeom
+    for option in ({"reward_type": "dense"}, {"max_episode_steps": 10}):
+        with pytest.raises(UserError, match=f"leave out {next(iter(option))}"):
+            napsp.make("FetchPush-v4", **option)
 
 
 def test_of_a_model_whose_task_is_not_at_hand_it_is_said(tmp_path, monkeypatch):

@@ -57,6 +57,7 @@ def test_a_reset_with_a_seed_begins_the_same_again(env):
         ({"cost": "sparse", "options": {"cost": "euclidean"}}, "cost is no option of a controller"),
         ({"options": {"env": "claw"}}, "env is no option of a controller"),
         ({"options": {"smooth": False, "smooth.rtae": 5}}, "no option 'rtae'"),
+        ({"options": {"smooth": "no"}}, "smooth is 'no'; it must be of kind bool"),
         ({"options": {"smooth.rate": 5.0}}, "--smooth.rate needs --smooth"),
     ],
 )

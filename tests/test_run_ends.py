@@ -49,13 +49,14 @@ def test_a_full_disk_is_not_said_to_have_saved(tmp_path, monkeypatch, capsys):
     assert "saved in" not in capsys.readouterr().out
 
 
-def test_an_interrupted_run_can_end_where_it_is_and_not_before(tmp_path, monkeypatch):
+def test_an_interrupted_run_can_end_where_it_is_and_not_before(tmp_path, monkeypatch, capsys):
     with monkeypatch.context() as patched:
         interrupt_in(patched, 3)
         assert [row["episodes"] for row in train(tiny(), tmp_path)] == [8]
     with pytest.raises(UserError, match="has 10 episodes already; ask for as many with --n-episodes"):
         train(tiny(n_episodes=8), tmp_path)
     assert [row["episodes"] for row in train(tiny(n_episodes=10), tmp_path)] == [8, 10]
+    assert "continues it" not in capsys.readouterr().out.splitlines()[-1]
     record, model = json.loads((tmp_path / "training.json").read_text()), load_model(tmp_path, "point_maze")
     assert record["episodes"] == model.header["episodes"] == 10 and "--n-episodes 10" in record["command"]
 
@@ -70,10 +71,10 @@ def test_what_belongs_to_an_older_run_goes_with_it(tmp_path):
         assert not left & {"training_curve.png", "training.json"} and ("tensorboard" in left) is not restart
 
 
-@pytest.mark.parametrize("answer", [False, np.False_, 0])
-def test_a_callback_that_answers_no_ends_the_run(tmp_path, answer):
+@pytest.mark.parametrize(("answer", "asked"), [(False, 1), (np.False_, 1), (0.0, 9), (None, 9)])
+def test_a_callback_that_answers_no_ends_the_run_and_one_that_answers_a_figure_does_not(tmp_path, answer, asked):
     rows = []
     napsp.train("point_maze", out=tmp_path, episodes=40, on_evaluation=lambda row: rows.append(row) or answer,
                 options={"n_warmup_episodes": 4, "n_policy_updates": 1, "n_temporal_updates": 1, "hidden": (8, 8),
                          "n_triangular_updates": 1, "evaluate.every": 4, "evaluate.n_episodes": 1})  # fmt: skip
-    assert len(rows) == 1
+    assert len(rows) == asked

@@ -20,6 +20,7 @@ from planners.app.studio.field import surface
 from planners.app.studio.goal import free_axes, goal_at
 from planners.app.studio.live import Live
 from planners.app.studio.newest import NewestPlan
+from planners.app.studio.trial import Trial
 from planners.app.studio.words import lateness, progress
 
 SMALL = ["--env", "point_maze", "--samples", "8", "--threads", "1", "--seed", "3"]
@@ -165,6 +166,31 @@ def test_a_plan_beside_the_simulation_is_moved_on_to_its_control_step_and_runs_o
     assert np.array_equal(planned.action(4), planned.plan.actions[0])
     assert np.array_equal(planned.action(6), planned.plan.actions[2])
     assert not planned.action(4 + session.horizon).any()
+
+
+def test_a_step_after_real_time_goes_on_from_what_was_executed():
+    trial = Trial(Session.open(*parse("mppi", [*SMALL, "--low-pass", "0.5"])), 3)
+    controller, seen = trial.session.controller, []
+    own = controller.smoother.__class__.__call__
+
+    class Watched(controller.smoother.__class__):
+        def skip(self, steps):
+            seen.append(steps)
+
+        def __call__(self, state, observation, actions, executed):
+            seen.append(executed.copy())
+            return own(self, state, observation, actions, executed)
+
+    controller.smoother.__class__ = Watched
+    trial.advance()
+    plan, done = trial.plan, []
+    for late in (1, 2):  # of the only plan, as in real time
+        done.append(plan.actions[late])
+        trial.execute(done[-1], plan, 0.0, 1.0, late)
+    trial.advance()
+    trial.session.close()
+    assert len(seen[0]) == 0 and seen[1] == 2
+    np.testing.assert_array_equal(seen[2], done)
 
 
 def test_what_fails_beside_the_simulation_stops_it_with_a_sentence(live, monkeypatch):

@@ -1,5 +1,8 @@
 """An option that a run does not read is told of, and one of the wrong kind refused."""
 
+from dataclasses import dataclass, field
+from typing import Any
+
 import numpy as np
 import pytest
 from tiny import tiny
@@ -19,6 +22,7 @@ from napsp.unread import tell_of_unread
         ("qrl", {"bootstrap.bound": False}, "--bootstrap.no-bound"),
         ("sparse", {"distance.learning_rate": 0.01}, "--distance.learning-rate 0.01"),
         ("ddl", {"triangular.cap": False}, "--triangular.no-cap"),
+        ("sparse", {"uncertainty.scale": 3.0}, "--uncertainty.scale 3.0"),
         ("ours", {"policy.action_noise": 0.5}, "--policy.action-noise 0.5"),
         ("ours", {"policy.agent": "ddpg", "policy.entropy_weight": 0.1}, "--policy.entropy-weight 0.1"),
         ("ours", {"distance.head": "quasimetric", "distance.output": "softplus"}, "--distance.output softplus"),
@@ -57,6 +61,33 @@ def test_values_of_another_kind_are_refused(name, value, words):
     stored[head] = {**stored[head], rest: value} if rest else value
     with pytest.raises(UserError, match=words):
         from_dict(stored)
+
+
+def test_a_distance_that_is_planned_with_reads_its_uncertainty():
+    for method in ("ours", "plus", "ddl"):
+        tell_of_unread(preset("point_maze", method, changes={"uncertainty.scale": 3.0}))  # warnings are errors
+
+
+def test_annotations_of_the_users_own_are_no_obstacle():
+    changes = {"weights": [1.0], "pair": ["a", 2], "numbers": [np.int64(3)], "anything": "x", "sizes": {"a": 1}}
+    assert changed(Odd(), changes) == Odd([1.0], ("a", 2), (3,), "x", {"a": 1})
+    with pytest.raises(UserError, match="pair is"):
+        changed(Odd(), {"pair": (1, 2, 3)})
+    assert changed(Unresolved(), {"samples": 3}).samples == 3
+
+
+@dataclass(frozen=True)
+class Odd:
+    weights: list[float] = field(default_factory=list)
+    pair: tuple[str, int] = ("", 0)
+    numbers: tuple[int, ...] = ()
+    anything: Any = None
+    sizes: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Unresolved:
+    samples: "Sequence" = 2  # noqa: F821
 
 
 def test_numbers_of_numpy_and_whole_floats_are_numbers():

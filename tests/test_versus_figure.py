@@ -1,10 +1,14 @@
 """The figure of policy against planner shows today's rows, of each training its last checkpoint."""
 
+from pathlib import Path
+
 import pytest
 from matplotlib.axes import Axes
 
 from benchmarks import versus_figure
+from benchmarks.cells import RUNS, figures_folder
 from benchmarks.curves import Line
+from benchmarks.policy_vs_mpc import VersusOptions
 
 
 def rows(method, episodes, budgets):
@@ -25,6 +29,15 @@ def test_a_training_of_fewer_episodes_is_not_left_out(plotted, tmp_path):
     path = versus_figure.draw([*rows("ours", 11_000, (64,)), *rows("plus", 4_000, (4, 16, 64))], tmp_path)
     assert path == tmp_path / "policy_vs_mpc_point_maze.png" and path.is_file()
     assert ((4, 16, 64), (0.5, 0.5, 0.5)) in plotted
+
+
+@pytest.mark.parametrize(
+    ("changes", "trial"),
+    [({}, False), ({"checkpoint": Path("point_maze_plus")}, False), ({"checkpoint": Path("runs/mine")}, True),
+     ({"training_seed": 3}, True), ({"seed": 5}, True), ({"episodes": 2}, True), ({"budgets": (4,)}, False)],
+)  # fmt: skip
+def test_figures_of_trials_lie_beside_their_runs(changes, trial):
+    assert (figures_folder(VersusOptions(**changes)) == RUNS) is trial
 
 
 def test_a_figure_of_rows_that_are_no_more_goes(plotted, tmp_path):

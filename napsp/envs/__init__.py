@@ -147,6 +147,8 @@ def make(name: str, reached: str | None = None, **kwargs: Any) -> gymnasium.Env:
     if missing:
         env.close()
         unwrapped(name, env, lookers=False)
+        for option in sorted({"reward_type", "max_episode_steps"} & own.keys()):
+            raise UserError(f"{name} has rewards of 0 and -1 and its own episode length here; leave out {option}")
         env = _adapt(name, env.unwrapped, load, missing, kwargs.get("render_mode"))
     else:
         env = unwrapped(name, env, lookers=True)

@@ -15,7 +15,7 @@ from mpc.smoothing.config import SmoothingConfig
 from napsp.envs import canonical_name
 from napsp.envs.cards import CARDS, UNKNOWN, Planning
 from napsp.errors import UserError, choose
-from napsp.settings import MANY, changed, check_ranges, differences
+from napsp.settings import MANY, changed, check_ranges, differences, of_kind
 from planners.app.searches import SEARCHES
 
 COSTS = ("distance", "euclidean", "sparse", "shortest_path")
@@ -109,7 +109,7 @@ class PlanConfig(Generic[S]):
         if planner not in SEARCHES:
             raise UserError(f"there is no search {planner!r}; {choose(planner, SEARCHES)}")
         usual, asked = SEARCHES[planner], dict(changes or {})
-        smooth = asked.pop("smooth", usual.smooth is not None)
+        smooth = of_kind("smooth", asked.pop("smooth", usual.smooth is not None), bool)
         base = cls(planner, usual.config(), smooth=(usual.smooth or SmoothingConfig()) if smooth else None)  # type: ignore[arg-type]
         if not smooth:  # switched off, its options may stay where they are
             idle = {name: asked.pop(name) for name in list(asked) if name.startswith("smooth.")}

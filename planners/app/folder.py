@@ -23,7 +23,7 @@ def identity(described: dict[str, Any]) -> dict[str, Any]:
     found = {name: described[name] for name in TOLD_APART[:5]}
     paths = described["config"].get("distance", {}).get("ensemble", [])
     run = described["run"]
-    return found | {"checkpoint": run.get("checkpoint"), "ensemble": paths, "hold": run.get("hold")}
+    return found | {"checkpoint": run.get("checkpoint"), "ensemble": paths, "hold": run.get("hold", 0)}
 
 
 def claim(folder: Path, described: dict[str, Any]) -> str | None:
@@ -44,7 +44,9 @@ def claim(folder: Path, described: dict[str, Any]) -> str | None:
     if not (folder / OWNER).is_file():
         _inherit(folder, asked)
     held = read_json(folder / OWNER, FIX)
-    held.setdefault("hold", asked["hold"])  # in folders of before
+    if "hold" not in held:  # a folder of before
+        held["hold"] = _hold_of(folder, asked["hold"])
+        write_json(folder / OWNER, held)
     different = [name for name in TOLD_APART if held.get(name) != asked[name]]
     if "differences" in different:
         own, others = asked["differences"], held.get("differences")
@@ -55,6 +57,14 @@ def claim(folder: Path, described: dict[str, Any]) -> str | None:
         raise UserError(f"{folder} holds plans of other options ({', '.join(different)}); choose another --out")
     replaced = [name for name in REPLACED if (folder / name).is_file()]
     return f"replacing the results of the same options in {folder}" if replaced else None
+
+
+def _hold_of(folder: Path, asked: int) -> int:
+    """What the results of a folder say of ``--hold``; without any, what is asked."""
+    if not (folder / SUMMARY).is_file():
+        return asked
+    run = read_json(folder / SUMMARY, FIX).get("run")
+    return run.get("hold", 0) if isinstance(run, dict) else 0
 
 
 def clear(folder: Path) -> None:

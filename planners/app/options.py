@@ -49,7 +49,7 @@ class RunOptions:
     A cost that needs no distance needs no checkpoint."""
     out: Flat[Path | None] = None
     """Folder of the results; default plans/ENV-PLANNER-COST-sSEED, and a few digits more with options that
-    make other plans or with another checkpoint."""
+    make other plans, another checkpoint, or other numbers of --episodes or --hold."""
     video: Flat[bool] = True
     """Render the first episodes with the goal and the sampled plans."""
     video_episodes: Flat[int] = 2

@@ -176,14 +176,14 @@ class Report:
         if plan_ms <= period_ms:
             return f"pace: plans take {plan_ms:.1f} ms (median), within the control period of {period_ms:.3g} ms"
         search: Any = self._session.config.search
-        enough = int(search.samples * (period_ms - smoothing_ms) / (plan_ms - smoothing_ms))
+        enough = int(search.samples * (period_ms - smoothing_ms) / max(plan_ms - smoothing_ms, 1e-9))
         drawn = "samples" in {field.name for field in fields(search)}
         fits = drawn and enough >= search.least_samples(self._session.config.n_proposals)
         advice = f"--samples {enough} would about keep pace here"
-        if smoothing_ms >= period_ms:
-            advice = (
-                f"smoothing alone takes {smoothing_ms:.1f} ms, so leave out --smooth, or give it a shorter --horizon"
-            )
+        if not drawn:
+            advice = "try --model.kind coarse or a shorter --horizon on idle cores"
+        elif smoothing_ms >= period_ms:
+            advice = f"smoothing alone takes {smoothing_ms:.1f} ms: leave out --smooth, or try a shorter --horizon"
         elif not fits:
             advice = "try --model.kind coarse, a shorter --horizon or fewer --samples on idle cores"
         return (

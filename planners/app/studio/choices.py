@@ -63,10 +63,10 @@ class Choices:
             if value not in SEARCHES:
                 raise UserError(f"there is no search {value!r}; choose from: {', '.join(SEARCHES)}")
             usual, own = PlanConfig.of(value), PlanConfig.of(plan.planner)
-            smooth = usual.smooth or (plan.smooth if plan.smooth != own.smooth else None)  # the user's stays
+            smooth = usual.smooth or (None if own.smooth else plan.smooth)  # what the user switched on stays
             return replace(self, plan=replace(plan, planner=value, search=usual.search, smooth=smooth))
         if name == "smooth":
-            return replace(self, plan=replace(plan, smooth=PlanConfig.of(plan.planner, {"smooth": bool(value)}).smooth))
+            return replace(self, plan=replace(plan, smooth=PlanConfig.of(plan.planner, {"smooth": value}).smooth))
         return replace(self, plan=changed(plan, {name: value}))
 
     @property

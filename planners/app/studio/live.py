@@ -181,6 +181,8 @@ class Live:
     def _stop_planning(self) -> None:
         if self._newest is not None:
             self._newest.close()
+            if self._newest.number is not None:
+                self._trial.planned = self._newest.number
         self._newest = None
 
     def _begin(self, seed: int) -> None:

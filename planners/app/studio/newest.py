@@ -74,6 +74,11 @@ class NewestPlan:
                 raise self._error
             return self._planned
 
+    @property
+    def number(self) -> int | None:
+        """The control step that was planned for last; None before the first plan."""
+        return None if self._planned is None else self._planned.job.number
+
     def close(self) -> None:
         """Stop, when the plan under way is made."""
         with self._changed:

@@ -69,12 +69,14 @@ class Trial:
         seed: of start, goal and planning.
         observation: the last one.
         plan: the newest.
+        planned: the control step that the session planned for last.
     """
 
     session: Session
     seed: int
     observation: dict[str, np.ndarray] = field(init=False)
     plan: Plan | None = None
+    planned: int = -1
     _way: list[np.ndarray] = field(default_factory=list)
     _lived: list[Lived] = field(default_factory=list)
     _executed: list[np.ndarray] = field(default_factory=list)
@@ -117,7 +119,8 @@ class Trial:
             UserError: the simulation blew up, or a cost of the user's own failed.
         """
         controller = self.session.controller
-        plan = controller.plan(self.world, self.observation)
+        controller.skip(self.number - self.planned - 1)  # steps of plans that were late
+        plan, self.planned = controller.plan(self.world, self.observation, self.executed), self.number
         cost = controller.cost_of(self.world, self.observation, plan.actions)
         self.execute(plan.action, plan, cost, plan.milliseconds, 0)
 
