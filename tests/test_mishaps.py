@@ -121,6 +121,7 @@ def trained(folder, method):
     return [*(p.detach().numpy() for p in learned), np.asarray(steps), action]
 
 
+@pytest.mark.filterwarnings("ignore:method .* does not read")  # one set of small options for all methods
 @pytest.mark.parametrize("method", ["ours", pytest.param("plus", marks=pytest.mark.slow),
                                     pytest.param("qrl", marks=pytest.mark.slow)])  # fmt: skip
 def test_torchs_default_type_and_a_running_event_loop_change_nothing(method, tmp_path):
