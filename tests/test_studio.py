@@ -59,6 +59,15 @@ def until(condition):
         time.sleep(0.01)
 
 
+def test_smoothing_that_is_switched_off_and_on_again_is_what_it_was():
+    choices = chosen("--smooth", "--smooth.rate", "3")
+    off = choices.changed("smooth", False)
+    assert off.plan == chosen().plan and not off.values["smooth"]
+    on = off.changed("smooth", False).changed("env", "fetch_wall").changed("env", "point_maze").changed("smooth", True)
+    assert on.plan.smooth.rate == 3 and on.plan == choices.plan
+    assert chosen().changed("smooth", True).plan == chosen("--smooth").plan
+
+
 def test_it_lives_the_episode_that_the_command_plans(live):
     session = Session.open(*parse("mppi", SMALL))
     planned = session.run_episode(3)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mpc.knots import SplineConfig
+from mpc.smoothing.config import SmoothingConfig
 from napsp.envs import canonical_name
 from napsp.errors import UserError
 from napsp.settings import changed
@@ -23,10 +24,12 @@ class Choices:
     Attributes:
         plan: how plans are made.
         run: seed, checkpoint and threads; the rest means nothing here.
+        switched_off: how plans were smoothed before that was switched off; the switch brings it back.
     """
 
     plan: PlanConfig[Any]
     run: RunOptions
+    switched_off: SmoothingConfig | None = None
 
     def changed(self, name: str, value: Any) -> Choices:
         """The same with another value.
@@ -58,7 +61,7 @@ class Choices:
             )
             if hasattr(plan.search, "finest"):
                 plan = changed(plan, {"search.finest": SEARCHES[plan.planner].config().finest})
-            return Choices(plan, replace(run, checkpoint=None))
+            return replace(self, plan=plan, run=replace(run, checkpoint=None))
         if name == "planner":
             if value not in SEARCHES:
                 raise UserError(f"there is no search {value!r}; choose from: {', '.join(SEARCHES)}")
@@ -66,7 +69,8 @@ class Choices:
             smooth = usual.smooth or (None if own.smooth else plan.smooth)  # what the user switched on stays
             return replace(self, plan=replace(plan, planner=value, search=usual.search, smooth=smooth))
         if name == "smooth":
-            return replace(self, plan=replace(plan, smooth=PlanConfig.of(plan.planner, {"smooth": value}).smooth))
+            smooth, last = PlanConfig.of(plan.planner, {"smooth": value}).smooth, plan.smooth or self.switched_off
+            return replace(self, plan=replace(plan, smooth=smooth and (last or smooth)), switched_off=last)
         return replace(self, plan=changed(plan, {name: value}))
 
     @property
