@@ -35,6 +35,7 @@ NAMED = {
     "bootstrap.stay": "stay {}",
     "temporal.first_arrival": "first arrival",
     "episodes_per_iteration": "{} episodes per iteration",
+    "qrl.push_until": "pushed apart up to {:g} steps",
 }
 """Options that may differ from the recipe's in a line of its own, where such runs exist, and what they are called."""
 SUPERSEDED = ("counts.reached_bits", "policy.min_entropy_weight", "bootstrap.stay")
