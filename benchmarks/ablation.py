@@ -27,6 +27,8 @@ from napsp.storage.lock import BusyError
 from napsp.storage.revision import git_revision
 
 WHOLE = "nothing"
+BASE = {"bootstrap.pessimism": "largest"}
+"""What parts are left out of has all of them, on every task: also the larger of two where a task goes without it."""
 Change = Mapping[str, Any] | Callable[[TrainConfig], Mapping[str, Any]]
 GRAPH: dict[str, Change] = {
     "shortest paths and explorers": {"graph.every": 0},
@@ -59,10 +61,10 @@ def removals(env: str) -> list[str]:
 
 def without(env: str, part: str, seed: int) -> TrainConfig:
     """The configuration of plus without a part."""
-    whole = preset(env, "plus", usual_recipe(env), seed=seed)
+    whole = preset(env, "plus", usual_recipe(env), BASE, seed=seed)
     change = REMOVALS[part]
     changes = change(whole) if callable(change) else change
-    return preset(env, "plus", usual_recipe(env), changes, seed=seed)
+    return preset(env, "plus", usual_recipe(env), BASE | dict(changes), seed=seed)
 
 
 @dataclass(frozen=True)

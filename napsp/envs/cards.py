@@ -103,7 +103,13 @@ PICK_TRAINING: dict[str, Any] = {
 REACH_PLUS: dict[str, Any] = {"hidden": (64, 64, 64), "n_policy_updates": 400}
 WALL_PLUS: dict[str, Any] = {**REACH_PLUS, "batch_size": 128}
 WIDE_PICK_PLUS: dict[str, Any] = {"n_episodes": 4000, "episodes_per_iteration": 8, "n_policy_updates": 50}
-PICK_PLUS: dict[str, Any] = {**WIDE_PICK_PLUS, "hidden": (128, 128, 128), "batch_size": 512, "n_policy_updates": 100}
+PICK_PLUS: dict[str, Any] = {
+    **WIDE_PICK_PLUS,
+    "hidden": (128, 128, 128),
+    "batch_size": 512,
+    "n_policy_updates": 100,
+    "bootstrap.pessimism": "mean",
+}
 
 MANIPULATION = Recipe(
     {
