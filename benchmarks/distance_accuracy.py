@@ -35,6 +35,8 @@ from napsp.storage.shipped import shipped_model
 
 SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "triangle_rate", "triangle_rate_step", "distance_at_goal",
          "best_action_rate")  # fmt: skip
+AGREEMENT = ("spearman", "mean_ratio", "ratio_cv")
+"""Of these, also for each kind of pairs."""
 BINS = (0, 5, 10, 20, 40, np.inf)
 STRAIGHT = "straight line"
 WIDE = 4
@@ -78,13 +80,26 @@ def figures_of(probe: Probe, steps: Steps, rng: np.random.Generator) -> dict[str
     found = agreement(truth, estimate)
     for name, kind in probe.kinds.items():
         part = agreement(truth[kind[use]], estimate[kind[use]])
-        found |= {f"{figure}, {name}": part[figure] for figure in ("spearman", "mean_ratio", "ratio_cv")}
+        found |= {f"{figure}, {name}": part[figure] for figure in AGREEMENT}
     for low, high in itertools.pairwise(BINS):
         inside = (truth > low) & (truth <= high)
         if inside.any():
             found[f"mean error, {low} to {high} steps"] = float((estimate - truth)[inside].mean())
     found["slope_at_goal"] = slope(truth, estimate)
     return found | triangles(probe, steps, rng) | best_actions(probe.alternatives[use], truth, estimate)
+
+
+def pair_figures(probe: Probe, steps: Steps) -> dict[str, float]:
+    """Figures of d(s, pi(s, g), g), the distance of a pair, beside the fewest known steps from s to g.
+
+    A way's first action is worth its steps if the others follow; d tells of the way that its own policy would go on.
+    """
+    estimate = steps(probe.observations, None, probe.goals)
+    found: dict[str, float] = {}
+    for name, kind in {"": np.ones(len(estimate), bool), **probe.kinds}.items():
+        part = agreement(probe.steps[kind], estimate[kind])
+        found |= {f"{figure}{name and ', '}{name}, own action": part[figure] for figure in AGREEMENT}
+    return found
 
 
 def agreement(truth: np.ndarray, estimate: np.ndarray) -> dict[str, float]:
@@ -227,6 +242,7 @@ def main() -> int:
     for subject, model in chosen:
         steps = learned_steps(model) if model.distance else critic_steps(subject.checkpoint(), model)
         found = figures_of(probe, steps, np.random.default_rng(0))
+        found |= {} if in_maze else pair_figures(probe, steps)
         name = f"{subject.training['method']}, seed {subject.seed}"
         panels.setdefault(name, (probe.steps, steps(probe.observations, probe.actions, probe.goals)))
         rows.append({"method": subject.training["method"], "seed": subject.seed, "training": as_text(subject.training),

@@ -13,7 +13,7 @@ from benchmarks import tables_planning as planning
 from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.command import read_options
-from benchmarks.tables_accuracy import accuracy_table, error_table
+from benchmarks.tables_accuracy import accuracy_table, error_table, pairs_table
 from benchmarks.tables_columns import columns_table
 from benchmarks.tables_glance import glance_table, planned_table
 from benchmarks.tables_minutes import minutes_table
@@ -31,9 +31,9 @@ TABLES: dict[Path, tuple[Table, ...]] = {
     README: (glance_table,),
     PAGE: (
         summary_table, training.learning_table, minutes_table, planned_table, planning.cost_table,
-        planning.versus_table, realtime_table, accuracy_table, error_table, ablation_table, planning.smoothing_table,
-        training.training_table, training.coverage_table, training.gate_table, speed.speed_table,
-        speed.throughput_table, speed.learner_table, revisions_table,
+        planning.versus_table, realtime_table, accuracy_table, pairs_table, error_table, ablation_table,
+        planning.smoothing_table, training.training_table, training.coverage_table, training.gate_table,
+        speed.speed_table, speed.throughput_table, speed.learner_table, revisions_table,
     ),
     GLOSSARY: (columns_table,),
 }  # fmt: skip

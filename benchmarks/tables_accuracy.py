@@ -77,6 +77,39 @@ def accuracy_table() -> list[str]:
     return lines
 
 
+PAIRS = {
+    "spearman, own action": "Spearman, own action",
+    "mean_ratio, own action": "mean ratio, own action",
+    "spearman, from the start": "Spearman, first states",
+    "mean_ratio, from the start": "mean ratio, first states",
+    "spearman, from the start, own action": "Spearman, first states, own action",
+    "mean_ratio, from the start, own action": "mean ratio, first states, own action",
+}
+
+
+def pairs_table() -> list[str]:
+    """Distances outside mazes with the model's own action, and of first states alone."""
+    lines = [
+        "### Distances of pairs, and of first states (`python -m benchmarks.distance_accuracy --env claw`)",
+        "",
+        "Of the rows above that are measured against known ways. There d(s, a, g) has the way's own action, which is worth its steps if the way's others follow; a model whose",
+        "policy goes on otherwise says what that takes. *Own action* is d(s, g): the action is the policy's. *First states* are where episodes begin, 40 pairs of the task; the",
+        "others lie on ways that a planner chose with one model, whose seed has seen their like.",
+        "",
+        f"| task | method | seeds | {' | '.join(PAIRS.values())} |",
+        f"|---|---|---|{'---|' * len(PAIRS)}",
+    ]
+    for (env, name), group in sorted(accuracy_groups().items()):
+        if any(row["n_starts"] for row in group) or not group[0]["seed"]:
+            continue
+        cells = [
+            over_seeds([float(row[k]) for row in group if row.get(k)], len(group), 3 if "spearman" in k else 2)
+            for k in PAIRS
+        ]
+        lines.append(f"| {env} | {name} | {len(group)} | {' | '.join(cells)} |")
+    return lines
+
+
 def error_table() -> list[str]:
     """What d is off by, near and far."""
     bins = list(itertools.pairwise(BINS))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import best_known, cells, distance_accuracy, maze_probe, maze_truth, tables_accuracy
-from benchmarks.distance_accuracy import agreement, best_actions, figures_of, slope, triangles
+from benchmarks.distance_accuracy import agreement, best_actions, figures_of, pair_figures, slope, triangles
 from benchmarks.maze_probe import Probe
 from napsp import envs as tasks
 from napsp.config import preset
@@ -40,6 +40,17 @@ def test_the_truth_scores_full_marks_and_twice_the_truth_all_but_the_ratio():
     assert twice["mean_ratio"] == pytest.approx(2) and twice["mean_ratio, right"] == pytest.approx(2)
     assert twice["mean error, 0 to 5 steps"] > 2 and twice["spearman"] == pytest.approx(1)
     assert twice["slope_at_goal"] == pytest.approx(2)
+
+
+def test_the_distance_of_a_pair_has_the_models_own_action():
+    apart = replace(line(), steps=np.maximum(1.0, np.abs(line().observations - line().goals)[:, 0]))
+    found = pair_figures(apart, exact)
+    assert found["mean_ratio, own action"] == pytest.approx(1) and found["spearman, own action"] == pytest.approx(1)
+    assert found["ratio_cv, right, own action"] == pytest.approx(0, abs=1e-9)
+    assert figures_of(apart, exact, np.random.default_rng(0))["mean_ratio"] > 1.1, "half of the actions lead away"
+    worse_to_the_left = pair_figures(apart, lambda s, a, g: exact(s, a, g) * np.where(s < g, 1.0, 2.0)[:, 0])
+    assert worse_to_the_left["mean_ratio, right, own action"] == pytest.approx(1)
+    assert worse_to_the_left["mean_ratio, own action"] > 1.4
 
 
 def test_the_slope_is_that_of_what_is_near_the_goal():
@@ -212,6 +223,9 @@ def test_a_model_that_ships_is_measured_against_what_is_known(tmp_path, monkeypa
     found = json.loads(Path("found.json").read_text())
     assert 0.5 < found["spearman"] <= 1 and found["models"] == 1
     assert {"pearson", "ratio_cv", "mean_ratio", "triangle_rate", "distance_at_goal"} <= found.keys()
+    assert 0.5 < found["mean_ratio, own action"] < 3
+    monkeypatch.setattr(tables_accuracy, "RESULTS", Path("results"))
+    assert f" {found['mean_ratio, own action']:.2f} |" in tables_accuracy.pairs_table()[-1]
     assert "2 episodes known, 2 shorter than before" in capsys.readouterr().out
 
 
@@ -239,4 +253,5 @@ def test_errors_stand_beside_how_far_it_is(tmp_path, monkeypatch):
         {**asked, "mean error, 0 to 5 steps": -1.25, "mean error, 40 to inf steps": 7.0}
     ])  # fmt: skip
     lines = tables_accuracy.error_table()
+    assert tables_accuracy.pairs_table()[-1].startswith("|---"), "a straight line has no action of its own"
     assert lines[-1] == "| claw | straight line | -1.2 | - | - | - | 7.0 |" and "over 40 steps" in lines[4]

@@ -11,7 +11,7 @@ from benchmarks import tables_speed as speed
 from benchmarks import tables_training as training
 from benchmarks.cells import RESULTS, read_results
 from benchmarks.readme import Table
-from benchmarks.tables_accuracy import accuracy_groups, accuracy_table, error_table
+from benchmarks.tables_accuracy import accuracy_groups, accuracy_table, error_table, pairs_table
 from benchmarks.tables_glance import glance_rows, glance_table, planned_rows, planned_table
 from benchmarks.tables_minutes import minutes_rows, minutes_table
 from benchmarks.tables_plus import ablation_rows, ablation_table
@@ -116,6 +116,10 @@ ORIGINS: dict[Table, Origin] = {
     accuracy_table: Origin(
         "python -m benchmarks.distance_accuracy --env NAME", "results/distance_accuracy.csv",
         lambda: [row for group in accuracy_groups().values() for row in group], "seed",
+    ),
+    pairs_table: Origin(
+        "python -m benchmarks.distance_accuracy --env NAME", "results/distance_accuracy.csv",
+        lambda: [row for group in accuracy_groups().values() for row in group if not row["n_starts"]], "seed",
     ),
     error_table: Origin(
         "python -m benchmarks.distance_accuracy --env NAME", "results/distance_accuracy.csv",
