@@ -53,7 +53,7 @@ class Card:
         aliases: further names.
         n_effector: how many numbers at the start of an observation say where the end effector is (claw: its joints).
         training: differences from the default training configuration, by dotted names.
-        plus: further ones for methods plus and qrl; what only one of them reads is no difference to the other.
+        plus: further ones for methods plus and qrl.
         recipes: named sets of choices beyond the paper.
         planning: what it is planned with.
         suite: the paper's tasks, harder ones, or variants that no table shows.
@@ -135,7 +135,6 @@ CARDS: dict[str, Card] = {
         50,
         n_effector=2,
         training={"n_episodes": 1000, "episodes_per_iteration": 4, "evaluate.every": 100},
-        plus={"qrl.push_until": 40.0},  # goals are up to forty steps away, see docs/plus.md, *A yardstick*
         planning=MAZE_PLANNING,
     ),
     "point_maze_long": Card(
