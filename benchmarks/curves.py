@@ -40,7 +40,7 @@ NAMED = {
 """Options that may differ from the recipe's in a line of its own, where such runs exist, and what they are called."""
 SUPERSEDED = ("counts.reached_bits", "policy.min_entropy_weight", "bootstrap.stay")
 """Of these, ways of older versions: such a line is shown until the same one without them is run."""
-TABLES_ONLY = ("episodes_per_iteration",)
+TABLES_ONLY = ("episodes_per_iteration", "qrl.push_until")
 """Lines that figures leave out."""
 PALETTE = ("gray", "orange", "blue", "red", "purple", "brown")
 COLORS: dict[str, str] = {method: f"tab:{c}" for method, c in zip(METHODS, PALETTE, strict=True)}
