@@ -28,7 +28,7 @@ from napsp.storage.revision import git_revision
 
 WHOLE = "nothing"
 BASE = {"bootstrap.pessimism": "largest"}
-"""What parts are left out of has all of them, on every task: also the larger of two where a task goes without it."""
+"""Parts are left out of plus with all of them: the larger of two is among them where a task's own settings lack it."""
 Change = Mapping[str, Any] | Callable[[TrainConfig], Mapping[str, Any]]
 GRAPH: dict[str, Change] = {
     "shortest paths and explorers": {"graph.every": 0},
@@ -46,7 +46,7 @@ EVERYWHERE: dict[str, Change] = {
     "goals of other episodes": {"her.relabel_ratio": 0.8, "her.other_goals_ratio": 0.0},
 }
 REMOVALS: Mapping[str, Change] = {WHOLE: {}, **GRAPH, **EVERYWHERE}
-"""What is left out, and the options that do so, of plus as it is where they depend on it."""
+"""What is left out, and the options that do so; where they depend on it, of plus with all parts."""
 OBEDIENT = ("point_maze", "fetch_wall")
 MANIPULATION = ("fetch_pick_place",)
 TASKS = (*OBEDIENT, *MANIPULATION)
@@ -74,7 +74,7 @@ class AblationOptions:
     env: str = "point_maze"
     """Task: point_maze, fetch_wall or fetch_pick_place."""
     parts: tuple[str, ...] = ()
-    """Parts to leave out, one at a time; none named is all that the task has, and plus as it is."""
+    """Parts to leave out, one at a time; none named is all that the task has, and nothing: plus with all parts."""
     seeds: int = 3
     """Training seeds 0 .. seeds - 1."""
     compiled: bool = False

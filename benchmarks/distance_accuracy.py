@@ -36,7 +36,7 @@ from napsp.storage.shipped import shipped_model
 SHOWN = ("spearman", "pearson", "ratio_cv", "mean_ratio", "triangle_rate", "triangle_rate_step", "distance_at_goal",
          "best_action_rate")  # fmt: skip
 AGREEMENT = ("spearman", "mean_ratio", "ratio_cv")
-"""Of these, also for each kind of pairs."""
+"""What is also said of each kind of pairs."""
 BINS = (0, 5, 10, 20, 40, np.inf)
 STRAIGHT = "straight line"
 WIDE = 4
@@ -92,13 +92,13 @@ def figures_of(probe: Probe, steps: Steps, rng: np.random.Generator) -> dict[str
 def pair_figures(probe: Probe, steps: Steps) -> dict[str, float]:
     """Figures of d(s, pi(s, g), g), the distance of a pair, beside the fewest known steps from s to g.
 
-    A way's first action is worth its steps if the others follow; d tells of the way that its own policy would go on.
+    A way's first action is worth its steps if its others follow, and a policy may go on otherwise.
     """
     estimate = steps(probe.observations, None, probe.goals)
     found: dict[str, float] = {}
     for name, kind in {"": np.ones(len(estimate), bool), **probe.kinds}.items():
         part = agreement(probe.steps[kind], estimate[kind])
-        found |= {f"{figure}{name and ', '}{name}, own action": part[figure] for figure in AGREEMENT}
+        found |= {", ".join(filter(None, (figure, name, "own action"))): part[figure] for figure in AGREEMENT}
     return found
 
 

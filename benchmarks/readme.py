@@ -31,7 +31,7 @@ TABLES: dict[Path, tuple[Table, ...]] = {
     README: (glance_table,),
     PAGE: (
         summary_table, training.learning_table, minutes_table, planned_table, planning.cost_table,
-        planning.versus_table, realtime_table, accuracy_table, pairs_table, error_table, ablation_table,
+        planning.versus_table, realtime_table, accuracy_table, error_table, pairs_table, ablation_table,
         planning.smoothing_table, training.training_table, training.coverage_table, training.gate_table,
         speed.speed_table, speed.throughput_table, speed.learner_table, revisions_table,
     ),

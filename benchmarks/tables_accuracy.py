@@ -92,9 +92,9 @@ def pairs_table() -> list[str]:
     lines = [
         "### Distances of pairs, and of first states (`python -m benchmarks.distance_accuracy --env claw`)",
         "",
-        "Of the rows above that are measured against known ways. There d(s, a, g) has the way's own action, which is worth its steps if the way's others follow; a model whose",
-        "policy goes on otherwise says what that takes. *Own action* is d(s, g): the action is the policy's. *First states* are where episodes begin, 40 pairs of the task; the",
-        "others lie on ways that a planner chose with one model, whose seed has seen their like.",
+        "Of learned distances in *Distance accuracy*, outside mazes. There d(s, a, g) has the way's own action, which is worth its steps if the way's others follow; a model",
+        "whose policy goes on otherwise says what that takes. *Own action* is d(s, g): the action is the policy's. *First states* are those that episodes begin in; the others lie on",
+        "the ways, which an earlier plus chose.",
         "",
         f"| task | method | seeds | {' | '.join(PAIRS.values())} |",
         f"|---|---|---|{'---|' * len(PAIRS)}",
@@ -103,7 +103,11 @@ def pairs_table() -> list[str]:
         if any(row["n_starts"] for row in group) or not group[0]["seed"]:
             continue
         cells = [
-            over_seeds([float(row[k]) for row in group if row.get(k)], len(group), 3 if "spearman" in k else 2)
+            over_seeds(
+                [float(row[k]) for row in group if row.get(k) not in (None, "", "nan")],
+                len(group),
+                3 if "spearman" in k else 2,
+            )
             for k in PAIRS
         ]
         lines.append(f"| {env} | {name} | {len(group)} | {' | '.join(cells)} |")

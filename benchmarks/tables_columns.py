@@ -56,7 +56,7 @@ COLUMNS = {
     "mean ratio": "Mean of d over true steps; 1 is true. Outside mazes over the fewest known, which may be too many: the ratio is then too small.",
     "Spearman, own action": "Rank correlation of d(s, g), the action being the policy's, with the fewest known steps.",
     "mean ratio, own action": "Mean of d(s, g), the action being the policy's, over the fewest known steps.",
-    "Spearman, first states": "The same of d(s, a, g) and first states of episodes alone, with the first action of the way.",
+    "Spearman, first states": "Rank correlation of d(s, a, g) with the fewest known steps, of first states of episodes alone, with the first action of the way.",
     "mean ratio, first states": "Mean of d(s, a, g) over the fewest known steps, of first states alone, with the first action of the way.",
     "Spearman, first states, own action": "Rank correlation of d(s, g) of first states with the fewest known steps, the action being the policy's.",
     "mean ratio, first states, own action": "Mean of d(s, g) of first states over the fewest known steps, the action being the policy's.",

@@ -222,6 +222,8 @@ def test_lines_are_called_by_recipe_and_by_what_they_have_otherwise():
     assert line.name == "ours + manipulation, first arrival, 2 episodes per iteration" and not line.in_figures
     assert curves.line_of(preset("fetch_pick_place", "ddl").identity()).name == "ddl"
     assert curves.line_of(preset("fetch_wall", changes={"batch_size": 7}).identity()) is None
+    further = curves.line_of(preset("point_maze", "qrl", changes={"qrl.push_until": 40.0}).identity())
+    assert further.name == "qrl, pushed apart up to 40 steps" and not further.in_figures
     for env in ("point_maze", "fetch_wall", "fetch_pick_place"):
         assert curves.line_of(preset(env, "plus", cells.usual_recipe(env)).identity()).method == "plus"
     assert [line.name for line in curves.expected_lines("fetch_pick_place")][:2] == [

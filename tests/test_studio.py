@@ -66,6 +66,11 @@ def test_smoothing_that_is_switched_off_and_on_again_is_what_it_was():
     on = off.changed("smooth", False).changed("env", "fetch_wall").changed("env", "point_maze").changed("smooth", True)
     assert on.plan.smooth.rate == 3 and on.plan == choices.plan
     assert chosen().changed("smooth", True).plan == chosen("--smooth").plan
+    for way in (["smooth", False], ["icem", True, False], [True, "smooth", False]):  # what one search has stays with it
+        choices = chosen()
+        for step in (*way, "cem", True):
+            choices = choices.changed("smooth" if isinstance(step, bool) else "planner", step)
+        assert choices.plan.smooth == chosen("--smooth").plan.smooth
 
 
 def test_it_lives_the_episode_that_the_command_plans(live):

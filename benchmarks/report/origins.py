@@ -119,7 +119,8 @@ ORIGINS: dict[Table, Origin] = {
     ),
     pairs_table: Origin(
         "python -m benchmarks.distance_accuracy --env NAME", "results/distance_accuracy.csv",
-        lambda: [row for group in accuracy_groups().values() for row in group if not row["n_starts"]], "seed",
+        lambda: [row for group in accuracy_groups().values() for row in group if row["seed"] and not row["n_starts"]],
+        "seed",
     ),
     error_table: Origin(
         "python -m benchmarks.distance_accuracy --env NAME", "results/distance_accuracy.csv",

@@ -99,7 +99,7 @@ PICK_TRAINING: dict[str, Any] = {
 }
 """Pick and place: DDPG as in the paper, with amounts of work and exploration like HER's."""
 
-# Measured in docs/plus.md, *Narrow networks*.
+# Measured in docs/plus.md, *Narrow networks* and *The mean of two*.
 REACH_PLUS: dict[str, Any] = {"hidden": (64, 64, 64), "n_policy_updates": 400}
 WALL_PLUS: dict[str, Any] = {**REACH_PLUS, "batch_size": 128}
 WIDE_PICK_PLUS: dict[str, Any] = {"n_episodes": 4000, "episodes_per_iteration": 8, "n_policy_updates": 50}

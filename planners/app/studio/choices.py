@@ -24,7 +24,7 @@ class Choices:
     Attributes:
         plan: how plans are made.
         run: seed, checkpoint and threads; the rest means nothing here.
-        switched_off: how plans were smoothed before that was switched off; the switch brings it back.
+        switched_off: how this search's plans were smoothed before that was switched off; the switch brings it back.
     """
 
     plan: PlanConfig[Any]
@@ -67,10 +67,10 @@ class Choices:
                 raise UserError(f"there is no search {value!r}; choose from: {', '.join(SEARCHES)}")
             usual, own = PlanConfig.of(value), PlanConfig.of(plan.planner)
             smooth = usual.smooth or (None if own.smooth else plan.smooth)  # what the user switched on stays
-            return replace(self, plan=replace(plan, planner=value, search=usual.search, smooth=smooth))
+            return Choices(replace(plan, planner=value, search=usual.search, smooth=smooth), run)
         if name == "smooth":
             smooth, last = PlanConfig.of(plan.planner, {"smooth": value}).smooth, plan.smooth or self.switched_off
-            return replace(self, plan=replace(plan, smooth=smooth and (last or smooth)), switched_off=last)
+            return Choices(replace(plan, smooth=smooth and (last or smooth)), run, None if value else last)
         return replace(self, plan=changed(plan, {name: value}))
 
     @property
