@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 
 from benchmarks.cells import RESULTS, read_results, training_of
 from benchmarks.curves import full_line_of, line_of
@@ -44,6 +45,12 @@ def accuracy_groups() -> dict[tuple[str, str], list[dict[str, str]]]:
     return groups
 
 
+def _cells(group: list[dict[str, str]], columns: Iterable[str]) -> list[str]:
+    """Figures of a line over its training seeds, those that were measured."""
+    values = {k: [float(row[k]) for row in group if row.get(k) not in (None, "", "nan")] for k in columns}
+    return [over_seeds(found, len(group), 3 if "spearman" in k else 2) for k, found in values.items()]
+
+
 def accuracy_table() -> list[str]:
     """Distances against exact ones, and against the best known steps."""
     lines = [
@@ -71,9 +78,8 @@ def accuracy_table() -> list[str]:
         f"|---|---|---|{'---|' * len(ACCURACY)}",
     ]
     for (env, name), group in sorted(accuracy_groups().items()):
-        values = {k: [float(row[k]) for row in group if row.get(k) not in (None, "", "nan")] for k in ACCURACY}
-        cells = [over_seeds(found, len(group), 3 if "spearman" in k else 2) for k, found in values.items()]
-        lines.append(f"| {env} | {name} | {len(group) if group[0]['seed'] else '-'} | {' | '.join(cells)} |")
+        seeds = len(group) if group[0]["seed"] else "-"
+        lines.append(f"| {env} | {name} | {seeds} | {' | '.join(_cells(group, ACCURACY))} |")
     return lines
 
 
@@ -94,7 +100,7 @@ def pairs_table() -> list[str]:
         "",
         "Of learned distances in *Distance accuracy*, outside mazes. There d(s, a, g) has the way's own action, which is worth its steps if the way's others follow; a model",
         "whose policy goes on otherwise says what that takes. *Own action* is d(s, g): the action is the policy's. *First states* are those that episodes begin in; the others lie on",
-        "the ways, which an earlier plus chose.",
+        "the ways, which plus chose: of the claw and of pick and place over its wall with the model that ships, of the others with earlier ones.",
         "",
         f"| task | method | seeds | {' | '.join(PAIRS.values())} |",
         f"|---|---|---|{'---|' * len(PAIRS)}",
@@ -102,15 +108,7 @@ def pairs_table() -> list[str]:
     for (env, name), group in sorted(accuracy_groups().items()):
         if any(row["n_starts"] for row in group) or not group[0]["seed"]:
             continue
-        cells = [
-            over_seeds(
-                [float(row[k]) for row in group if row.get(k) not in (None, "", "nan")],
-                len(group),
-                3 if "spearman" in k else 2,
-            )
-            for k in PAIRS
-        ]
-        lines.append(f"| {env} | {name} | {len(group)} | {' | '.join(cells)} |")
+        lines.append(f"| {env} | {name} | {len(group)} | {' | '.join(_cells(group, PAIRS))} |")
     return lines
 
 
